@@ -1,0 +1,164 @@
+"""Ego-refinement: the camera's motion from the static correspondences (paper, Eqs. 4 and 5).
+
+Fitted in the second camera, which has the same minimiser as the paper's world-frame fit without the lever arm
+to the world's origin. MSAC hypotheses from three matches each, then Gauss-Newton on the inliers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlmm_log import se3
+from vlmm_log.pipeline import ego_kernels as ek
+from vlmm_log.pipeline import kernels
+from vlmm_log.pipeline.matches import Matches
+from vlmm_log.settings import EgoSettings
+from vlmm_log.types import CHI2_3_MEDIAN, Ego, Float32, Float64
+
+
+def row_transforms(T_second_first: Float64, row_twist: Float64, rows: NDArray[np.int64], height: int) -> Float64:
+    """(n, 4, 4) transforms of image rows: exp((v / H - 1/2) row_twist) @ T_second_first."""
+    share = rows / height - 0.5
+    return np.asarray(se3.exp(share[:, None] * row_twist) @ T_second_first)
+
+
+def as_rows(T: Float64) -> Float32:
+    """(n, 12) float32 of (n, 4, 4): rotation row by row, then translation, as the kernels read it."""
+    return np.concatenate([T[:, :3, :3].reshape(-1, 9), T[:, :3, 3]], axis=1).astype(np.float32)
+
+
+def refine_ego(matches: Matches, s: EgoSettings, rng: np.random.Generator) -> Ego:
+    """The relative pose of a pair by its static matches; the log's own where ego-refinement is off or impossible."""
+    prior = matches.pair.relative_pose()
+    grid = _Grid.gather(matches, s.stride)
+    if s.model == "off" or grid.count < s.min_matches:
+        off = s.model == "off"
+        return Ego(prior, np.zeros(6), np.zeros((6, 6)), np.zeros(6), np.nan, np.nan, grid.count, off)
+
+    unit = Fit(prior, np.zeros(6))
+    cut = s.inlier_sigma**2 if s.inlier == "sigma" else 1.0
+    inverse = grid.inverse_covariances(unit) if s.inlier == "sigma" else grid.isotropic(s.inlier_m)
+    fit = Fit(_consensus(grid, inverse, prior, cut, s, rng), np.zeros(6))
+    scale2 = 1.0
+    for iteration in range(s.iterations):
+        if s.inlier == "sigma" and iteration in (0, 2):
+            inverse = grid.inverse_covariances(fit)
+        d2 = grid.whitened(fit, inverse)
+        if s.inlier == "sigma":  # the noise model may be off by a factor; the inlier test must not be
+            scale2 = float(np.clip(np.median(d2) / CHI2_3_MEDIAN, 0.25, 9.0))
+        fit, step, hessian = _gauss_newton(grid, fit, inverse, d2 / (cut * scale2), s)
+        if np.abs(step).max() < 1e-7:
+            break
+    inlier_share = float(np.mean(grid.whitened(fit, inverse) < cut * scale2))
+    d2 = grid.whitened(fit, grid.inverse_covariances(fit))
+    spread = float(np.sqrt(np.median(d2) / CHI2_3_MEDIAN))
+    covariance = np.linalg.pinv(hessian, hermitian=True)[:6, :6] * scale2
+    correction = se3.log(fit.T @ se3.inverse(prior))
+    reliable = inlier_share >= s.min_inlier_share
+    return Ego(fit.T, fit.row_twist, covariance, correction, inlier_share, spread, grid.count, reliable)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A candidate: exp((v / H - 1/2) row_twist) @ T."""
+
+    T: Float64
+    row_twist: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Valid matches of a coarse pixel grid, row after row."""
+
+    matches: Matches
+    planes: Float32  # (PLANES, N)
+    rays: Float32  # (2, N) of the first camera
+    row: NDArray[np.int32]  # (N,) grid row
+    image_rows: NDArray[np.int64]  # (h,) image row of each grid row
+    first: Float32  # (3, N) m
+    second: Float32  # (3, N) m
+
+    @property
+    def count(self) -> int:
+        return self.row.size
+
+    @property
+    def height(self) -> int:
+        return self.matches.pair.first.depth.shape[0]
+
+    @staticmethod
+    def gather(matches: Matches, stride: int) -> _Grid:
+        H, W = matches.pair.first.depth.shape
+        v, u = np.arange(0, H, stride), np.arange(0, W, stride)
+        planes = np.empty((kernels.PLANES, v.size, u.size), np.float32)
+        status = np.empty((v.size, u.size), np.uint8)
+        kernels.gather_grid(stride, *matches.arrays(), matches.camera, matches.model, planes, status)
+        j, i = np.nonzero(status == kernels.VALID)
+        c = matches.camera
+        rays = np.stack([(u[i] - c.cx) / c.fx, (v[j] - c.cy) / c.fy]).astype(np.float32)
+        kept = np.ascontiguousarray(planes[:, j, i])
+        first, second = np.empty((3, j.size), np.float32), np.empty((3, j.size), np.float32)
+        ek.points(kept, rays, first, second)
+        return _Grid(matches, kept, rays, j.astype(np.int32), v, first, second)
+
+    def rows(self, fit: Fit) -> Float32:
+        return as_rows(row_transforms(fit.T, fit.row_twist, self.image_rows, self.height))
+
+    def inverse_covariances(self, fit: Fit) -> Float32:
+        out = np.empty((6, self.count), np.float32)
+        m = self.matches
+        ek.inverse_covariances(self.planes, self.rays, self.row, self.rows(fit), m.camera, m.model, out)
+        return out
+
+    def isotropic(self, sigma: float) -> Float32:
+        out = np.zeros((6, self.count), np.float32)
+        out[[0, 3, 5]] = 1.0 / sigma**2
+        return out
+
+    def whitened(self, fit: Fit, inverse: Float32) -> Float32:
+        d2 = np.empty(self.count, np.float32)
+        ek.whitened(self.first, self.second, inverse, self.row, self.rows(fit), d2)
+        return d2
+
+
+def _consensus(
+    grid: _Grid, inverse: Float32, prior: Float64, cut: float, s: EgoSettings, rng: np.random.Generator
+) -> Float64:
+    """The best of many three-match fits and the prior, by MSAC on a sample of the matches."""
+    sample = rng.permutation(grid.count)[: s.sample]
+    first, second = grid.first[:, sample], grid.second[:, sample]
+    triples = rng.integers(0, sample.size, (s.hypotheses, 3))
+    a, b = first.T[triples].astype(np.float64), second.T[triples].astype(np.float64)
+    candidates = np.concatenate([prior[None], se3.kabsch(a, b)])
+    cost = np.empty(len(candidates), np.float32)
+    ek.msac(as_rows(candidates), first, second, inverse[:, sample], np.float32(cut), cost)
+    return np.asarray(candidates[int(np.argmin(cost))])
+
+
+def _gauss_newton(
+    grid: _Grid, fit: Fit, inverse: Float32, d2_of_cut: Float32, s: EgoSettings
+) -> tuple[Fit, Float64, Float64]:
+    """One refit on the inliers: the fit, the step taken (12,), the normal matrix (6, 6) or (12, 12).
+
+    Inliers weigh by Tukey's biweight in sigmas, and alike in metres (the paper's plain least squares).
+    """
+    inlier = d2_of_cut < 1.0
+    weight = np.where(inlier, (1.0 - d2_of_cut) ** 2 if s.inlier == "sigma" else 1.0, 0.0).astype(np.float32)
+    moments, gradients = np.empty((3, 6, 6)), np.empty((2, 6))
+    share = grid.image_rows / grid.height - 0.5
+    ek.normal_equations(
+        grid.first, grid.second, inverse, weight, grid.row, grid.rows(fit), share, moments, gradients
+    )
+    if s.model == "rigid":
+        normal, side = moments[0], gradients[0]
+    else:
+        normal = np.block([[moments[0], moments[1]], [moments[1], moments[2]]])
+        precision = np.repeat([s.row_prior_rad, s.row_prior_m], 3) ** -2.0
+        normal[6:, 6:] += np.diag(precision)
+        side = np.concatenate([gradients[0], gradients[1] - precision * fit.row_twist])
+    step = np.zeros(12)
+    step[: side.size] = np.linalg.lstsq(normal, side, rcond=1e-12)[0]
+    return Fit(se3.exp(step[:6]) @ fit.T, fit.row_twist + step[6:]), step, normal

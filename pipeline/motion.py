@@ -1,0 +1,64 @@
+"""The observed-motion channel of a pair: residual, Sigma_m, d_M, p_stat (paper, Eqs. 2, 3, 6 to 8)."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from scipy.special import chdtri
+
+from vlmm_log.pipeline import kernels
+from vlmm_log.pipeline.ego import as_rows, row_transforms
+from vlmm_log.pipeline.matches import Matches
+from vlmm_log.types import Covariances, Ego, Float32, Motion
+
+
+def measure_motion(matches: Matches, ego: Ego) -> Motion:
+    """Every pixel's residual against the static world and its Mahalanobis score."""
+    H, W = matches.pair.first.depth.shape
+    rows = as_rows(row_transforms(ego.T_second_first, ego.row_twist, np.arange(H), H))
+    R_world_b = _world_rotation(matches)
+    residual, validity = np.empty((3, H, W), np.float32), np.empty((H, W), np.uint8)
+    d_m, p_stat = np.empty((H, W), np.float32), np.empty((H, W), np.float32)
+    kernels.measure(
+        *matches.arrays(),
+        matches.camera,
+        matches.model,
+        rows,
+        R_world_b,
+        _p_table(),
+        residual,
+        d_m,
+        p_stat,
+        validity,
+    )
+
+    def covariances(stride: int) -> Covariances:
+        h, w = -(-H // stride), -(-W // stride)
+        upper, sigma_z = np.empty((6, h, w), np.float32), np.empty((h, w), np.float32)
+        kernels.sigma_m(
+            stride,
+            *matches.arrays(),
+            matches.camera,
+            matches.model,
+            rows,
+            R_world_b,
+            validity,
+            upper,
+            sigma_z,
+        )
+        return Covariances(stride, upper, sigma_z)
+
+    tau_px = float(np.sqrt(chdtri(3, matches.alpha)))
+    return Motion(residual, d_m, p_stat, validity, tau_px, covariances)
+
+
+def _world_rotation(matches: Matches) -> Float32:
+    """Second camera to world; the camera's own axes where the log has no pose."""
+    T = matches.pair.second.T_world_cam
+    return np.eye(3, dtype=np.float32) if T is None else np.ascontiguousarray(T[:3, :3], np.float32)
+
+
+@functools.cache
+def _p_table() -> Float32:
+    return kernels.p_stat_table()

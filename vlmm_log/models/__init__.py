@@ -1,0 +1,1 @@
+"""Learned and library models, imported only when chosen."""

@@ -1,0 +1,108 @@
+"""RAFT flow by torchvision's raft_large. Teed and Deng, ECCV 2020.
+
+Tensors, device and padding end here: what goes in and comes out is numpy.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vlmm_log.models.weights import find_raft, fingerprint
+from vlmm_log.settings import FlowSettings
+from vlmm_log.types import Float32, Frame, InputError
+
+try:
+    import torch
+    from torch.nn import functional
+except ImportError as e:
+    raise InputError("--flow raft needs torch and torchvision: pip install 'vlmm-log[raft]'") from e
+
+# Princeton's keys -> torchvision's. torchvision's own keys pass through unchanged.
+_PRINCETON = (
+    (r"^module\.", ""),
+    (r"^fnet\.", "feature_encoder."),
+    (r"^cnet\.", "context_encoder."),
+    (r"^(feature|context)_encoder\.conv1\.", r"\1_encoder.convnormrelu.0."),
+    (r"^(feature|context)_encoder\.norm1\.", r"\1_encoder.convnormrelu.1."),
+    (r"^(feature|context)_encoder\.conv2\.", r"\1_encoder.conv."),
+    (r"(layer\d\.\d)\.conv(\d)\.", r"\1.convnormrelu\2.0."),
+    (r"(layer\d\.\d)\.norm(\d)\.", r"\1.convnormrelu\2.1."),
+    (r"^update_block\.encoder\.conv(c|f)([12])\.", r"update_block.motion_encoder.conv\1@\2.0."),
+    (r"^update_block\.encoder\.conv\.", "update_block.motion_encoder.conv.0."),
+    (r"convc@", "convcorr"),
+    (r"convf@", "convflow"),
+    (r"^update_block\.gru\.conv([zrq])([12])\.", r"update_block.recurrent_block.convgru\2.conv\1."),
+    (r"^update_block\.mask\.0\.", "mask_predictor.convrelu.0."),
+    (r"^update_block\.mask\.2\.", "mask_predictor.conv."),
+)
+
+
+class Raft:
+    """A flow estimator that holds the network on the best device there is."""
+
+    def __init__(self, s: FlowSettings) -> None:
+        self.weights = find_raft(s.weights)
+        self.fingerprint = fingerprint(self.weights)
+        self._scale, self._updates = s.raft_scale, s.raft_updates
+        self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self._network = load(self.weights).to(self._device)
+
+    def __call__(self, first: Frame, second: Frame) -> tuple[Float32, Float32]:
+        """Flow (H, W, 2) px both ways, from one batch of two."""
+        H, W = first.rgb.shape[:2]
+        with torch.inference_mode():
+            both = torch.from_numpy(np.stack([first.rgb, second.rgb])).to(self._device)
+            both = both.permute(0, 3, 1, 2).float() / 127.5 - 1.0
+            h, w = (max(128, 8 * round(n * self._scale / 8)) for n in (H, W))  # RAFT wants multiples of 8, 128 at least
+            both = functional.interpolate(both, (h, w), mode="bilinear", align_corners=False, antialias=h < H)
+            flow = self._network(both, both.flip(0), num_flow_updates=self._updates)[-1]
+            flow = functional.interpolate(flow, (H, W), mode="bilinear", align_corners=False)
+            flow = flow * flow.new_tensor([W / w, H / h])[None, :, None, None]
+            out = flow.permute(0, 2, 3, 1).contiguous().cpu().numpy()
+        return out[0], out[1]
+
+
+def load(path: Path) -> Any:
+    """The network with a weights file in Princeton's or torchvision's key layout. Raises InputError."""
+    network = _raft_large()
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        network.load_state_dict(torchvision_keys(state))
+    except Exception as e:  # noqa: BLE001  torch raises half a dozen types for a foreign file
+        first_line = str(e).splitlines()[0][:120]
+        raise InputError(f"{path}: not weights of RAFT large ({first_line})") from e
+    return network.eval()
+
+
+def torchvision_keys(state: dict[str, Any]) -> dict[str, Any]:
+    """A state dict with Princeton's names changed into torchvision's."""
+    renamed = {}
+    for key, value in state.items():
+        if ".norm3." in key:  # the same tensors as downsample.1
+            continue
+        for pattern, name in _PRINCETON:
+            key = re.sub(pattern, name, key)  # noqa: PLW2901
+        renamed[key] = value
+    return renamed
+
+
+def _raft_large() -> Any:
+    try:
+        from torchvision.models.optical_flow import raft_large
+    except ImportError as e:
+        raise InputError("--flow raft needs torchvision: pip install 'vlmm-log[raft]'") from e
+    except RuntimeError as e:
+        if "torchvision::nms" not in str(e):
+            raise
+        # torchvision's compiled operators were built for another torch; RAFT uses none of them
+        library = torch.library.Library("torchvision", "DEF")
+        library.define("nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+        library.define("qnms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+        from torchvision.models.optical_flow import raft_large
+
+        _raft_large.library = library  # type: ignore[attr-defined]  # the schemas live as long as it does
+    return raft_large(weights=None)

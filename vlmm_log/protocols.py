@@ -1,0 +1,86 @@
+"""What the rooms ask of each other: one method each, so that a fake is a function or a small class."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from vlmm_log.settings import ReadSettings
+from vlmm_log.types import Float32, Frame, Result, RunEnd, Skipped
+
+R = TypeVar("R")
+
+
+class Log(Protocol):
+    """An opened log."""
+
+    name: str
+    has_poses: bool
+    frame_count: int  # frames that will be tried, for progress
+    notes: list[str]  # what the reader decided, and where from: intrinsics, pose source
+
+    def frames(self, start_ns: int, stop_ns: int) -> Iterator[Frame | Skipped]:
+        """Frames with ``start_ns <= time since the first frame < stop_ns`` in order, and all that was left out."""
+        ...
+
+
+class Reader(Protocol):
+    """A kind of log that can be opened."""
+
+    name: str
+
+    def recognises(self, path: Path) -> bool:
+        """Whether the path looks like this kind of log; reads no image."""
+        ...
+
+    def open(self, path: Path, s: ReadSettings) -> Log:
+        """The log, its lists read. Raises InputError where it cannot be used."""
+        ...
+
+
+class FlowEstimator(Protocol):
+    """Dense optical flow."""
+
+    def __call__(self, first: Frame, second: Frame) -> tuple[Float32, Float32]:
+        """Flow (H, W, 2) px from the first image to the second, and back."""
+        ...
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When a result came: the first frame's stamp and index, and what the stage took."""
+
+    stamp_ns: int
+    index: int
+    elapsed_ms: float
+
+
+class Sink(Protocol):
+    """Somewhere results go. A sink watches; nothing it does changes a result."""
+
+    def write(self, result: Result, at: Moment) -> None:
+        """Take one stage's result."""
+        ...
+
+    def close(self, end: RunEnd) -> None:
+        """Finish what was written. Called once, also when the run was interrupted."""
+        ...
+
+
+class Observe(Protocol):
+    """The identity function by which results are seen."""
+
+    def __call__(self, result: R, /) -> R:
+        """The same result."""
+        ...
+
+
+def unseen(result: R, /) -> R:
+    """Nobody watches."""
+    return result
+
+
+Progress = Callable[[int, int], None]
+"""Told (pairs done, frames tried)."""

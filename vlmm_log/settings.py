@@ -1,0 +1,260 @@
+"""Every knob of a run: frozen, one dataclass a concern, from a profile, a TOML file and ``--set a.b=v``.
+
+Profile ``paper`` does what the paper prints, ``default`` what measured better. A name that does not exist
+is an error that says the nearest one that does.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from vlmm_log.types import InputError
+
+T = TypeVar("T")
+S = TypeVar("S")
+
+
+def knob(
+    default: T, doc: str, *, low: float | None = None, high: float | None = None, of: tuple[str, ...] = ()
+) -> T:
+    """A setting: its default, meaning with unit, range (both ends allowed) or choices."""
+    field_: T = field(default=default, metadata={"doc": doc, "low": low, "high": high, "of": of})
+    return field_
+
+
+@dataclass(frozen=True)
+class ReadSettings:
+    """How a log becomes frames."""
+
+    intrinsics: str = knob("", "pinhole intrinsics: a camera.txt or 'fx,fy,cx,cy' px; empty: from the source")
+    depth_units_per_meter: float = knob(0.0, "stored depth value of one metre; 0: as the source says", low=0)
+    depth_min_m: float = knob(0.1, "nearer depth is unseen, m", low=0)
+    depth_max_m: float = knob(10.0, "farther depth is unseen, m", low=0)
+    association_s: float = knob(0.02, "largest time between a colour image and its depth image, s", low=0)
+    pose_gap_s: float = knob(0.1, "largest time between the two poses that a frame's pose is taken from, s", low=0)
+    start_s: float = knob(0.0, "first moment used, s from the log's first frame", low=0)
+    stop_s: float = knob(1e9, "first moment no longer used, s from the log's first frame", low=0)
+
+
+@dataclass(frozen=True)
+class KeyframeSettings:
+    """Which frames are compared."""
+
+    stride: int = knob(1, "every n-th frame starts a pair", low=1)
+    gap: int | str = knob(3, "distance of a pair: frames (3) or seconds ('0.1s')", low=1)
+
+
+@dataclass(frozen=True)
+class FlowSettings:
+    """Dense optical flow."""
+
+    estimator: str = knob("dis", "dis: OpenCV, no weights; raft: torchvision's raft_large", of=("dis", "raft"))
+    dis_preset: str = knob("fast", "OpenCV's DIS preset", of=("ultrafast", "fast", "medium"))
+    raft_scale: float = knob(0.5, "image scale that RAFT runs at", low=0.1, high=1)
+    raft_updates: int = knob(8, "RAFT's iterations", low=1, high=64)
+    weights: str = knob("", "RAFT weights file or a folder that holds it; empty: VLMM_LOG_WEIGHTS, user cache")
+
+
+@dataclass(frozen=True)
+class GateSettings:
+    """Which pixels are scored."""
+
+    fb_px: float = knob(2.0, "largest forward-backward error of the flow, px", low=0)
+    depth_band: float = knob(
+        0.05, "depth at b: neighbours within this share of the nearest one's depth are averaged; 0: nearest", low=0
+    )
+    occlusion_sigma: float = knob(
+        3.0, "occluded: predicted depth in b this many sigmas behind the measured one; 0: never", low=0
+    )
+    occlusion_m: float = knob(0.3, "and at least this far behind it, m: an approaching mover is not occluded", low=0)
+
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Sigma of a match: depth noise, lateral noise, flow noise."""
+
+    sigma_z_a: float = knob(0.0012, "a in sigma_z = a + b (z - z0)^2, m (Nguyen, Izadi, Lovell 2012)", low=0)
+    sigma_z_b: float = knob(0.0019, "b in sigma_z, 1/m", low=0)
+    sigma_z_z0: float = knob(0.4, "z0 in sigma_z, m; the paper prints 0.4e-3", low=0)
+    sigma_px_first: float = knob(0.5, "lateral noise at a, px", low=0)
+    sigma_px_second: float = knob(0.5, "lateral noise at b, px", low=0)
+    fb_variance: float = knob(0.25, "flow variance at b as a multiple of the squared forward-backward error", low=0)
+    edge_inflation: float = knob(0.5, "sigma_z grows by this multiple of the local 3x3 depth range", low=0)
+    flow_sigma: float = knob(
+        8.0, "grey-level noise s_I of the structure-tensor flow covariance s_I^2 (G + lambda I)^-1; 0: off", low=0
+    )
+    flow_lambda: float = knob(1.0, "lambda of the structure-tensor flow covariance, grey levels^2/px^2", low=1e-6)
+    alpha: float = knob(0.05, "share of still pixels that the test may flag", low=1e-9, high=0.999)
+
+
+@dataclass(frozen=True)
+class EgoSettings:
+    """Ego-refinement."""
+
+    model: str = knob(
+        "row_linear",
+        "off: trust the poses; rigid: RANSAC and least squares; row_linear: rigid and a twist linear in the image row",
+        of=("off", "rigid", "row_linear"),
+    )
+    inlier: str = knob("sigma", "inlier test and weights: in sigmas of the match, or in metres", of=("sigma", "metric"))
+    inlier_sigma: float = knob(3.0, "inlier threshold for 'sigma'", low=0.1)
+    inlier_m: float = knob(0.02, "inlier threshold for 'metric', m", low=1e-6)
+    stride: int = knob(4, "matches are taken at every n-th row and column", low=1)
+    hypotheses: int = knob(256, "RANSAC hypotheses", low=1, high=100_000)
+    sample: int = knob(2048, "matches that score a hypothesis", low=3)
+    iterations: int = knob(10, "refits at most", low=1, high=100)
+    row_prior_rad: float = knob(0.05, "standard deviation of the row twist's rotation, rad", low=1e-9)
+    row_prior_m: float = knob(0.05, "standard deviation of the row twist's translation, m", low=1e-9)
+    min_matches: int = knob(200, "fewer: the pair is marked unreliable", low=3)
+    min_inlier_share: float = knob(0.3, "less: the pair is marked unreliable", low=0, high=1)
+    pose_sigma_rad: float = knob(0.01, "rotation noise of the relative pose, rad; enters Sigma when model = off", low=0)
+    pose_sigma_m: float = knob(0.01, "translation noise of the relative pose, m; enters Sigma when model = off", low=0)
+
+
+@dataclass(frozen=True)
+class LogSettings:
+    """What a recording holds."""
+
+    dense: bool = knob(False, "full float32 tensors and covariances instead of the lean form")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All of them."""
+
+    profile: str = knob("default", "which values the others started from", of=("default", "paper"))
+    seed: int = knob(0, "of all randomness", low=0)
+    read: ReadSettings = ReadSettings()
+    keyframes: KeyframeSettings = KeyframeSettings()
+    flow: FlowSettings = FlowSettings()
+    gate: GateSettings = GateSettings()
+    noise: NoiseSettings = NoiseSettings()
+    ego: EgoSettings = EgoSettings()
+    log: LogSettings = LogSettings()
+
+    @staticmethod
+    def load(profile: str = "default", toml: Path | None = None, sets: Iterable[str] = ()) -> Settings:
+        """A profile, changed by a TOML file, changed by ``a.b=v`` texts.
+
+        Raises InputError for a name that does not exist, a value of the wrong type or out of range.
+        """
+        tables = [] if toml is None else [(str(toml), _read_toml(toml))]
+        tables += [(f"--set {text}", _parse_set(text)) for text in sets]
+        for where, table in tables:
+            name = table.get("profile")
+            if isinstance(name, str) and name != profile:
+                if where.startswith("--set"):
+                    raise InputError(f"{where}: choose a profile with --profile {name}")
+                profile = name
+        if profile not in PROFILES:
+            raise InputError(f"profile {profile!r}: no such profile; there are {', '.join(PROFILES)}")
+        settings = PROFILES[profile]
+        for where, table in tables:
+            settings = _changed(settings, table, where, "")
+        return settings
+
+    def to_toml(self) -> str:
+        """All settings as TOML that ``load`` takes back."""
+        tops = [f"{f.name} = {_toml(getattr(self, f.name))}" for f in fields(self) if not _is_table(self, f.name)]
+        blocks = ["\n".join(tops)]
+        for f in fields(self):
+            if _is_table(self, f.name):
+                table = getattr(self, f.name)
+                rows = [f"{g.name} = {_toml(getattr(table, g.name))}" for g in fields(table)]
+                blocks.append("\n".join([f"[{f.name}]", *rows]))
+        return "\n\n".join(blocks) + "\n"
+
+
+PROFILES = {
+    "default": Settings(),
+    "paper": Settings(
+        profile="paper",
+        gate=GateSettings(depth_band=0.0, occlusion_sigma=0.0),
+        noise=NoiseSettings(
+            sigma_z_z0=0.0004,
+            sigma_px_first=1.5,
+            sigma_px_second=1.5,
+            fb_variance=0.0,
+            edge_inflation=0.0,
+            flow_sigma=0.0,
+        ),
+        ego=EgoSettings(model="rigid", inlier="metric"),
+    ),
+}
+
+
+def _is_table(settings: object, name: str) -> bool:
+    return hasattr(getattr(settings, name), "__dataclass_fields__")
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return '"' + "".join(c if c >= " " and c != "\x7f" else f"\\u{ord(c):04x}" for c in escaped) + '"'
+    return repr(value)
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except OSError as e:
+        raise InputError(f"{path}: cannot read the settings: {e.strerror or e}") from e
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        raise InputError(f"{path}: not a TOML file: {e}") from e
+
+
+def _parse_set(text: str) -> dict[str, Any]:
+    name, equals, value = text.partition("=")
+    if not equals or not name.strip():
+        raise InputError(f"--set {text}: write it as table.name=value, for example --set keyframes.gap=6")
+    try:
+        parsed: Any = tomllib.loads(f"v = {value}")["v"]
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()  # a bare word is a text
+    for key in reversed(name.strip().split(".")):
+        parsed = {key: parsed}
+    return dict(parsed)
+
+
+def _changed(settings: S, table: Mapping[str, Any], where: str, prefix: str) -> S:
+    known = {f.name: f for f in fields(settings)}  # type: ignore[arg-type]
+    values: dict[str, Any] = {}
+    for name, value in table.items():
+        if name not in known:
+            raise InputError(f"{where}: no setting {prefix}{name}{_nearest(name, known, prefix)}")
+        current = getattr(settings, name)
+        if _is_table(settings, name):
+            if not isinstance(value, dict):
+                raise InputError(f"{where}: {prefix}{name} is a table; set one of its names, as in {name}.NAME=value")
+            values[name] = _changed(current, value, where, f"{prefix}{name}.")
+        else:
+            values[name] = _checked(value, current, known[name].metadata, f"{where}: {prefix}{name}")
+    return replace(settings, **values)  # type: ignore[type-var]
+
+
+def _nearest(name: str, known: Mapping[str, object], prefix: str) -> str:
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"; nearest is {prefix}{close[0]}" if close else f"; there are {', '.join(known)}"
+
+
+def _checked(value: Any, current: object, meta: Mapping[str, Any], where: str) -> object:
+    if isinstance(current, float) and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    kinds = (int, str) if where.endswith("keyframes.gap") else (type(current),)
+    if type(value) not in kinds:
+        raise InputError(f"{where}: {value!r} is not {' or '.join(k.__name__ for k in kinds)}")
+    if meta["of"] and value not in meta["of"]:
+        raise InputError(f"{where}: {value!r} is not one of {', '.join(meta['of'])}")
+    if isinstance(value, int | float):
+        low, high = meta["low"], meta["high"]
+        if value != value or (low is not None and value < low) or (high is not None and value > high):
+            span = f"at least {low}" if high is None else f"between {low} and {high}"
+            raise InputError(f"{where}: {value} is out of range; it must be {span}")
+    return value

@@ -1,0 +1,200 @@
+"""The nouns: what a log gives, what each stage makes of it. numpy only.
+
+Units are metres, radians, pixels and integer nanoseconds. Camera axes: x right, y down, z forward;
+pixel centres lie at integer coordinates. ``T_a_b`` maps points of frame b into frame a. Dense results
+of a pair lie on the pixel grid of its first frame. Arrays inside these types are read-only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+UInt8 = NDArray[np.uint8]
+
+CHI2_3_MEDIAN = 2.3659738843753377
+"""Median of the chi-square distribution with 3 degrees of freedom: d_M^2 of a still point."""
+
+
+class InputError(Exception):
+    """The call or its input cannot be used. The message is one line: what, where, remedy."""
+
+
+def _freeze(record: object) -> None:
+    """Make every array of a dataclass instance read-only."""
+    for f in fields(record):  # type: ignore[arg-type]
+        value = getattr(record, f.name)
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedImage:
+    """An image as the log holds it, so that a sink can pass it on without encoding it again."""
+
+    data: bytes
+    media_type: str  # "image/png", "image/jpeg"
+    units_per_meter: float = 0.0  # of a depth image: stored value of one metre
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One moment of the log: colour, registered depth, camera and where it stood."""
+
+    stamp_ns: int  # of the depth image; the pose is interpolated at it
+    index: int  # stable position in the source, the key when runs are compared
+    rgb: UInt8  # (H, W, 3)
+    depth: Float32  # (H, W) m, NaN where unseen
+    K: Float64  # (3, 3) pinhole intrinsics, px
+    T_world_cam: Float64 | None = None  # (4, 4), None where the log has no pose
+    encoded_rgb: EncodedImage | None = None
+    encoded_depth: EncodedImage | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+
+@dataclass(frozen=True, eq=False)
+class FramePair:
+    """Two frames to be compared, the first one earlier."""
+
+    first: Frame
+    second: Frame
+
+    def relative_pose(self) -> Float64:
+        """``T_second_first`` (4, 4) by the log's poses; identity where either frame has none."""
+        a, b = self.first.T_world_cam, self.second.T_world_cam
+        if a is None or b is None:
+            return np.eye(4)
+        return np.linalg.solve(b, a)
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """Something in the log that was not used, and why."""
+
+    stamp_ns: int
+    what: str  # "rgb/1305031237.029714.png", "pair 12-15"
+    reason: str  # one of few texts, so that they can be counted
+    index: int | None = None  # of the frame, where it has one
+
+
+@dataclass(frozen=True, eq=False)
+class FlowField:
+    """Dense optical flow both ways, and how far a round trip misses its start."""
+
+    forward: Float32  # (H, W, 2) px, on the first frame's grid
+    backward: Float32  # (H, W, 2) px, on the second frame's grid
+    fb_error: Float32  # (H, W) px, |w_ab(u) + w_ba(u + w_ab(u))|, NaN where the target is out of view
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Ego:
+    """Camera motion between the two frames, as their static correspondences have it.
+
+    A point p of the first camera, seen in image row v of H, lies in the second camera at
+    ``exp((v / H - 1/2) row_twist) @ T_second_first @ p``.
+    """
+
+    T_second_first: Float64  # (4, 4)
+    row_twist: Float64  # (6,) rotation rad, translation m, over the image's height; 0 for a rigid model
+    covariance: Float64  # (6, 6) of the twist (rotation, translation) at the middle row
+    correction: Float64  # (6,) twist from the log's relative pose to the refined one
+    inlier_share: float  # of the matches tried; NaN where ego-refinement is off
+    spread: float  # robust scale of the whitened residual: 1 when the noise model fits; NaN if off
+    matches: int  # correspondences tried
+    reliable: bool  # False: too few matches or inliers, keep the pair out of the map
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+
+class Validity(IntEnum):
+    """Why a pixel was scored or not."""
+
+    VALID = 0
+    NO_DEPTH = 1  # at either end
+    OUT_OF_VIEW = 2  # the flow leaves the second image
+    FB_INCONSISTENT = 3  # forward and backward flow disagree
+    OCCLUDED = 4  # hidden in the second frame by something nearer
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How far each pixel moved against the static world, in metres and in sigmas."""
+
+    residual: Float32  # (3, H, W) m, in the world frame (camera b's where the log has no poses); NaN: not valid
+    d_m: Float32  # (H, W) Mahalanobis magnitude of the residual; NaN where not valid
+    p_stat: Float32  # (H, W) chi-square tail probability of d_m**2, 3 degrees of freedom; NaN: not valid
+    validity: UInt8  # (H, W) Validity
+    tau_px: float  # d_m above it rejects "static" at the settings' alpha
+    covariances: Callable[[int], Covariances] = field(repr=False)  # at every n-th row and column
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+    @property
+    def valid_share(self) -> float:
+        """Share of all pixels that were scored (coverage)."""
+        return float(np.mean(self.validity == Validity.VALID))
+
+    def scored(self) -> Float32:
+        """(N,) d_m of the pixels that were scored."""
+        return self.d_m[self.validity == Validity.VALID]
+
+    def flagged_share(self) -> float:
+        """Share of scored pixels above tau_px; NaN if none was scored."""
+        scored = self.scored()
+        return float(np.mean(scored > self.tau_px)) if scored.size else float("nan")
+
+    def static_d_m2_median(self) -> float:
+        """Median of d_m**2 over scored pixels: 2.366 where the noise model fits and most of the view is still."""
+        scored = self.scored()
+        return float(np.median(scored)) ** 2 if scored.size else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Covariances:
+    """Sigma_m on a coarser grid: row i, column j speaks of pixel (i * stride, j * stride)."""
+
+    stride: int
+    upper: Float32  # (6, h, w) m^2: xx, xy, xz, yy, yz, zz in the frame of Motion.residual; NaN: not valid
+    sigma_z: Float32  # (h, w) m, standard deviation along the second camera's optical axis
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was asked for: enough to do it again."""
+
+    source: str  # name of the log
+    reader: str
+    settings: str  # TOML, whole
+    versions: dict[str, str]
+    has_poses: bool
+    up: str  # axis of the world that points up: "+z", or "-y" where the world is a camera
+
+
+@dataclass(frozen=True)
+class RunEnd:
+    """What came of it."""
+
+    complete: bool  # False: interrupted
+    input_hash: str  # SHA-256 over the content of every frame read
+    frames: int
+    pairs: int
+
+
+Result = FramePair | Skipped | FlowField | Ego | Motion
+"""What a stage, or the stream before it, gives a sink to see."""
