@@ -19,6 +19,9 @@ from vlmm_log.settings import EgoSettings
 from vlmm_log.types import CHI2_3_MEDIAN, Ego, Float32, Float64
 
 
+CHI2_3_QUARTILE = 1.2125329030456688  # a quarter of still points is below it; up to three in four may move
+
+
 def row_transforms(T_second_first: Float64, row_twist: Float64, rows: NDArray[np.int64], height: int) -> Float64:
     """(n, 4, 4) transforms of image rows: exp((v / H - 1/2) row_twist) @ T_second_first."""
     share = rows / height - 0.5
@@ -48,7 +51,7 @@ def refine_ego(matches: Matches, s: EgoSettings, rng: np.random.Generator) -> Eg
             inverse = grid.inverse_covariances(fit)
         d2 = grid.whitened(fit, inverse)
         if s.inlier == "sigma":  # the noise model may be off by a factor; the inlier test must not be
-            scale2 = float(np.clip(np.median(d2) / CHI2_3_MEDIAN, 0.25, 9.0))
+            scale2 = float(np.clip(np.quantile(d2, 0.25) / CHI2_3_QUARTILE, 0.25, 4.0))
         fit, step, hessian = _gauss_newton(grid, fit, inverse, d2 / (cut * scale2), s)
         if np.abs(step).max() < 1e-7:
             break

@@ -42,9 +42,8 @@ class Model(NamedTuple):
     var_px_first: np.float32
     var_px_second: np.float32
     fb_variance: np.float32
+    var_displacement: np.float32
     edge_inflation: np.float32
-    var_grey: np.float32
-    flow_lambda: np.float32
     var_rotation: np.float32
     var_translation: np.float32
 
@@ -97,6 +96,30 @@ def round_trip(forward: Float32, backward: Float32, fb_error: Float32) -> None:
 
 
 @jit
+def flow_covariance(
+    tensor: Float32, spread: Float32, var_texture: np.float32, floor: np.float32, ridge: np.float32, out: Float32
+) -> None:
+    """Flow covariance (3, H, W) px^2, xx, xy, yy: ``var_texture (max(G - floor, 0) + ridge I)^-1 + spread I``.
+
+    G (3, H, W) is the structure tensor, of which ``floor`` along either axis is sensor noise and no texture.
+    """
+    half = f32(0.5)
+    for v in range(spread.shape[0]):
+        for u in range(spread.shape[1]):
+            gxx, gxy, gyy = tensor[0, v, u], tensor[1, v, u], tensor[2, v, u]
+            mean, dx = half * (gxx + gyy), half * (gxx - gyy)
+            radius = math.sqrt(dx * dx + gxy * gxy)
+            # variances along the axes of most and of least texture
+            most = var_texture / (max(mean + radius - floor, f32(0)) + ridge)
+            least = var_texture / (max(mean - radius - floor, f32(0)) + ridge)
+            turn = half * (most - least) / max(radius, f32(1e-6))
+            middle = half * (most + least) + spread[v, u]
+            out[0, v, u] = middle + turn * dx
+            out[1, v, u] = turn * gxy
+            out[2, v, u] = middle - turn * dx
+
+
+@jit
 def _depth_at(depth: Float32, x: np.float32, y: np.float32, x0: int, y0: int, band: np.float32) -> Any:
     """Bilinear over the neighbours within ``band * z`` of the nearest one; NaN where that one is unseen."""
     right, below = x - f32(x0) >= f32(0.5), y - f32(y0) >= f32(0.5)
@@ -135,7 +158,7 @@ def gather_row(
     range_b: Float32,
     forward: Float32,
     fb_error: Float32,
-    tensor: Float32,
+    flow_cov: Float32,
     camera: Camera,
     m: Model,
     out: Float32,
@@ -173,18 +196,17 @@ def gather_row(
         out[ZA, i] = za
         out[ZB, i] = zb
         da, db = za - m.z_z0, zb - m.z_z0
-        sa = m.z_a + m.z_b * da * da + m.edge_inflation * range_a[v, u]
+        sa, ea = m.z_a + m.z_b * da * da, m.edge_inflation * range_a[v, u]
         yb, xb = np.int32(y + f32(0.5)), np.int32(x + f32(0.5))
-        sb = m.z_a + m.z_b * db * db + m.edge_inflation * range_b[yb, xb]
-        out[VA, i] = sa * sa
-        out[VB, i] = sb * sb
-        # C = (s_px^2 + fb^2 / 4) I + s_I^2 (G + lambda I)^-1
-        gxx, gxy, gyy = tensor[0, v, u] + m.flow_lambda, tensor[1, v, u], tensor[2, v, u] + m.flow_lambda
-        scale = m.var_grey / (gxx * gyy - gxy * gxy)
-        same = m.var_px_second + m.fb_variance * fb * fb
-        out[CXX, i] = (same + scale * gyy) * inv_fx * inv_fx
-        out[CXY, i] = -scale * gxy * inv_fx * inv_fy
-        out[CYY, i] = (same + scale * gxx) * inv_fy * inv_fy
+        sb, eb = m.z_a + m.z_b * db * db, m.edge_inflation * range_b[yb, xb]
+        out[VA, i] = sa * sa + ea * ea
+        out[VB, i] = sb * sb + eb * eb
+        # lateral noise, round trip, displacement: isotropic; then what the image's texture leaves open
+        moved2 = forward[v, u, 0] * forward[v, u, 0] + forward[v, u, 1] * forward[v, u, 1]
+        same = m.var_px_second + m.fb_variance * fb * fb + m.var_displacement * moved2
+        out[CXX, i] = (same + flow_cov[0, v, u]) * inv_fx * inv_fx
+        out[CXY, i] = flow_cov[1, v, u] * inv_fx * inv_fy
+        out[CYY, i] = (same + flow_cov[2, v, u]) * inv_fy * inv_fy
 
 
 @jit
@@ -251,7 +273,7 @@ def measure(
     range_b: Float32,
     forward: Float32,
     fb_error: Float32,
-    tensor: Float32,
+    flow_cov: Float32,
     camera: Camera,
     m: Model,
     rows: Float32,
@@ -280,7 +302,7 @@ def measure(
     for v in range(H):
         status = validity[v]
         gather_row(
-            v, 1, depth_a, depth_b, range_a, range_b, forward, fb_error, tensor, camera, m, g, status
+            v, 1, depth_a, depth_b, range_a, range_b, forward, fb_error, flow_cov, camera, m, g, status
         )
         T = rows[v]
         nay = (f32(v) - camera.cy) / camera.fy
@@ -332,7 +354,7 @@ def sigma_m(
     range_b: Float32,
     forward: Float32,
     fb_error: Float32,
-    tensor: Float32,
+    flow_cov: Float32,
     camera: Camera,
     m: Model,
     rows: Float32,
@@ -349,7 +371,7 @@ def sigma_m(
     for j in range(h):
         v = j * stride
         gather_row(
-            v, stride, depth_a, depth_b, range_a, range_b, forward, fb_error, tensor, camera, m, g, status
+            v, stride, depth_a, depth_b, range_a, range_b, forward, fb_error, flow_cov, camera, m, g, status
         )
         T = rows[v]
         nay = (f32(v) - camera.cy) / camera.fy
@@ -391,7 +413,7 @@ def gather_grid(
     range_b: Float32,
     forward: Float32,
     fb_error: Float32,
-    tensor: Float32,
+    flow_cov: Float32,
     camera: Camera,
     m: Model,
     planes: Float32,
@@ -408,7 +430,7 @@ def gather_grid(
             range_b,
             forward,
             fb_error,
-            tensor,
+            flow_cov,
             camera,
             m,
             planes[:, j],

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from vlmm_log.pipeline import kernels
 from vlmm_log.pipeline.kernels import Camera, Model
 from vlmm_log.settings import EgoSettings, GateSettings, NoiseSettings
 from vlmm_log.types import FlowField, Float32, FramePair, UInt8
@@ -22,7 +23,7 @@ class Matches:
     flow: FlowField
     range_first: Float32  # (H, W) m, local 3x3 depth range
     range_second: Float32  # (H, W) m
-    tensor: Float32  # (3, H, W) structure tensor of the first image, xx, xy, yy, grey levels^2/px^2
+    flow_covariance: Float32  # (3, H, W) px^2, xx, xy, yy: what texture and neighbours leave open
     camera: Camera
     model: Model
     alpha: float  # of the chi-square test
@@ -37,7 +38,7 @@ class Matches:
             self.range_second,
             self.flow.forward,
             self.flow.fb_error,
-            self.tensor,
+            self.flow_covariance,
         )
 
 
@@ -55,9 +56,8 @@ def match(pair: FramePair, flow: FlowField, gate: GateSettings, noise: NoiseSett
         var_px_first=f32(noise.sigma_px_first**2),
         var_px_second=f32(noise.sigma_px_second**2),
         fb_variance=f32(noise.fb_variance),
+        var_displacement=f32(noise.displacement**2),
         edge_inflation=f32(noise.edge_inflation),
-        var_grey=f32(noise.flow_sigma**2),
-        flow_lambda=f32(noise.flow_lambda),
         var_rotation=f32(ego.pose_sigma_rad**2 if ego.model == "off" else 0.0),
         var_translation=f32(ego.pose_sigma_m**2 if ego.model == "off" else 0.0),
     )
@@ -67,7 +67,7 @@ def match(pair: FramePair, flow: FlowField, gate: GateSettings, noise: NoiseSett
         flow,
         local_depth_range(first.depth),
         local_depth_range(second.depth),
-        structure_tensor(first.rgb),
+        flow_covariance(first.rgb, flow.forward, noise),
         Camera(f32(K[0, 0]), f32(K[1, 1]), f32(K[0, 2]), f32(K[1, 2])),
         model,
         noise.alpha,
@@ -83,6 +83,28 @@ def local_depth_range(depth: Float32) -> Float32:
     return np.maximum(far - near, f32(0))
 
 
+def flow_covariance(rgb: UInt8, forward: Float32, noise: NoiseSettings) -> Float32:
+    """Covariance (3, H, W) px^2 of the flow, xx, xy, yy, from the image's texture and the flow around.
+
+    Lucas and Kanade 1981, Simoncelli et al. 1991: s_I^2 (G - N + lambda I)^-1 with G the structure tensor and N the
+    energy that sensor noise adds to it. And flow that changes fast nearby is flow whose borders are uncertain.
+    """
+    out = np.empty((3, *forward.shape[:2]), np.float32)
+    floor = WINDOW**2 / 2 * noise.grey_sigma**2  # a central difference halves the variance
+    kernels.flow_covariance(
+        structure_tensor(rgb),
+        flow_spread(forward, noise.flow_spread),
+        f32(noise.flow_sigma**2),
+        f32(floor),
+        f32(noise.flow_lambda),
+        out,
+    )
+    return out
+
+
+WINDOW = 9  # px, of the structure tensor
+
+
 def structure_tensor(rgb: UInt8) -> Float32:
     """Sum of grad grad^T over 9x9 pixels (3, H, W): xx, xy, yy in squared grey levels per squared pixel."""
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
@@ -90,5 +112,28 @@ def structure_tensor(rgb: UInt8) -> Float32:
     gy = cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)
     planes = np.empty((3, *grey.shape), np.float32)
     for plane, product in zip(planes, (gx * gx, gx * gy, gy * gy), strict=True):
-        cv2.boxFilter(product, cv2.CV_32F, (9, 9), dst=plane, normalize=False)
+        cv2.boxFilter(product, cv2.CV_32F, (WINDOW, WINDOW), dst=plane, normalize=False)
     return planes
+
+
+def flow_spread(forward: Float32, factor: float) -> Float32:
+    """Variance (H, W) px^2: ``factor`` squared times that of the flow over about 36x36 pixels.
+
+    The camera's own part, smooth over the whole image, is taken out first as a robust quadratic polynomial.
+    """
+    H, W = forward.shape[:2]
+    if factor == 0:
+        return np.zeros((H, W), np.float32)
+    coarse = cv2.resize(forward, (W // 4, H // 4), interpolation=cv2.INTER_AREA)
+    y, x = np.mgrid[-1 : 1 : coarse.shape[0] * 1j, -1 : 1 : coarse.shape[1] * 1j].astype(np.float32)
+    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    some, seen = basis[::4, ::4].reshape(-1, 6), coarse[::4, ::4].reshape(-1, 2)
+    weight = np.ones(len(some), np.float32)
+    for _ in range(5):
+        trend = np.linalg.lstsq(some * weight[:, None], seen * weight[:, None], rcond=None)[0]
+        miss = np.linalg.norm(seen - some @ trend, axis=1)
+        weight = 1.0 / (1.0 + miss / (np.median(miss) + f32(1e-3)))
+    rest = coarse - basis @ trend
+    mean = cv2.blur(rest, (9, 9))
+    variance = np.maximum(cv2.blur(rest * rest, (9, 9)) - mean * mean, 0).sum(axis=-1)
+    return np.asarray(cv2.resize(variance * f32(factor**2), (W, H), interpolation=cv2.INTER_LINEAR), np.float32)

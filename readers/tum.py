@@ -71,19 +71,29 @@ class TumLog:
         return self.poses is not None
 
     @property
-    def frame_count(self) -> int:
-        """Associated pairs of images."""
-        return len(self.pairs)
+    def world_up(self) -> str:
+        """The motion capture's z axis, turned by ``world``; the camera's -y where there are no poses."""
+        if self.poses is None:
+            return "-y"
+        return "+z" if self.world[2, 2] == 1 else "+y"
+
+    @property
+    def origin_ns(self) -> int:
+        """Time of the first frame."""
+        return self.depth[self.pairs[0][1]].stamp_ns
+
+    def count(self, start_ns: int, stop_ns: int) -> int:
+        """See protocols.Log."""
+        return sum(start_ns <= self.depth[j].stamp_ns - self.origin_ns < stop_ns for _, j in self.pairs)
 
     def frames(self, start_ns: int, stop_ns: int) -> Iterator[Frame | Skipped]:
         """See protocols.Log. ``Frame.index`` is the row of rgb.txt in time order."""
-        origin = self.depth[self.pairs[0][1]].stamp_ns
         events: list[tuple[int, tuple[int, int] | Skipped]] = [(x.stamp_ns, x) for x in self.left_out]
         events += [(self.depth[j].stamp_ns, (i, j)) for i, j in self.pairs]
         size: tuple[int, ...] | None = None
         for stamp_ns, event in sorted(events, key=lambda e: e[0]):
-            after_start = stamp_ns - origin >= start_ns
-            if stamp_ns - origin >= stop_ns:
+            after_start = stamp_ns - self.origin_ns >= start_ns
+            if stamp_ns - self.origin_ns >= stop_ns:
                 continue
             if isinstance(event, Skipped):
                 if after_start or start_ns <= 0:  # rows before the first frame are told too

@@ -1,1 +1,24 @@
-"""vlmm-log."""
+"""Vision-Language-Motion Maps as a log analysis tool: what moved in a recording, and how sure are we."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from vlmm_log.version import __version__
+
+if TYPE_CHECKING:
+    from vlmm_log.api import process
+    from vlmm_log.readers import open_log
+    from vlmm_log.settings import Settings
+
+__all__ = ["Settings", "__version__", "open_log", "process"]
+
+_HOME = {"Settings": "vlmm_log.settings", "open_log": "vlmm_log.readers", "process": "vlmm_log.api"}
+
+
+def __getattr__(name: str) -> Any:  # so that a name costs its imports only when it is used
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
+    return getattr(importlib.import_module(_HOME[name]), name)

@@ -18,8 +18,12 @@ class Log(Protocol):
 
     name: str
     has_poses: bool
-    frame_count: int  # frames that will be tried, for progress
+    world_up: str  # axis of the world that points up: "+z", "+y"; "-y" where the world is the camera's frame
     notes: list[str]  # what the reader decided, and where from: intrinsics, pose source
+
+    def count(self, start_ns: int, stop_ns: int) -> int:
+        """How many frames ``frames`` will try, for progress."""
+        ...
 
     def frames(self, start_ns: int, stop_ns: int) -> Iterator[Frame | Skipped]:
         """Frames with ``start_ns <= time since the first frame < stop_ns`` in order, and all that was left out."""
@@ -53,7 +57,7 @@ class Moment:
     """When a result came: the first frame's stamp and index, and what the stage took."""
 
     stamp_ns: int
-    index: int
+    index: int | None  # None for what is no frame: a row of a list, a pose
     elapsed_ms: float
 
 
@@ -83,4 +87,4 @@ def unseen(result: R, /) -> R:
 
 
 Progress = Callable[[int, int], None]
-"""Told (pairs done, frames tried)."""
+"""Told (pairs done, pairs expected)."""

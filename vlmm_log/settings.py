@@ -81,14 +81,21 @@ class NoiseSettings:
     sigma_z_a: float = knob(0.0012, "a in sigma_z = a + b (z - z0)^2, m (Nguyen, Izadi, Lovell 2012)", low=0)
     sigma_z_b: float = knob(0.0019, "b in sigma_z, 1/m", low=0)
     sigma_z_z0: float = knob(0.4, "z0 in sigma_z, m; the paper prints 0.4e-3", low=0)
-    sigma_px_first: float = knob(0.5, "lateral noise at a, px", low=0)
-    sigma_px_second: float = knob(0.5, "lateral noise at b, px", low=0)
-    fb_variance: float = knob(0.25, "flow variance at b as a multiple of the squared forward-backward error", low=0)
-    edge_inflation: float = knob(0.5, "sigma_z grows by this multiple of the local 3x3 depth range", low=0)
-    flow_sigma: float = knob(
-        8.0, "grey-level noise s_I of the structure-tensor flow covariance s_I^2 (G + lambda I)^-1; 0: off", low=0
+    sigma_px_first: float = knob(0.15, "lateral noise at a, px", low=0)
+    sigma_px_second: float = knob(0.15, "lateral noise at b, px", low=0)
+    fb_variance: float = knob(0.3, "flow variance at b as a multiple of the squared forward-backward error", low=0)
+    displacement: float = knob(
+        0.008, "lateral noise at b as a share of the flow's length: lens distortion, blur, time offset", low=0
     )
-    flow_lambda: float = knob(1.0, "lambda of the structure-tensor flow covariance, grey levels^2/px^2", low=1e-6)
+    edge_inflation: float = knob(0.4, "depth noise of this multiple of the local 3x3 depth range, in quadrature", low=0)
+    flow_sigma: float = knob(
+        4.0, "s_I, grey levels, of the texture's flow covariance s_I^2 (G - N + lambda I)^-1; 0: off", low=0
+    )
+    flow_lambda: float = knob(1.0, "lambda of the texture's flow covariance, grey levels^2/px^2", low=1e-6)
+    grey_sigma: float = knob(1.0, "image noise, grey levels: the part N of G that is no texture", low=0)
+    flow_spread: float = knob(
+        0.7, "flow noise at b as a share of the flow's own standard deviation over 36x36 px, camera's part removed", low=0
+    )
     alpha: float = knob(0.05, "share of still pixels that the test may flag", low=1e-9, high=0.999)
 
 
@@ -180,8 +187,10 @@ PROFILES = {
             sigma_px_first=1.5,
             sigma_px_second=1.5,
             fb_variance=0.0,
+            displacement=0.0,
             edge_inflation=0.0,
             flow_sigma=0.0,
+            flow_spread=0.0,
         ),
         ego=EgoSettings(model="rigid", inlier="metric"),
     ),

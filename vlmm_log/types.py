@@ -183,7 +183,8 @@ class Run:
     settings: str  # TOML, whole
     versions: dict[str, str]
     has_poses: bool
-    up: str  # axis of the world that points up: "+z", or "-y" where the world is a camera
+    world_up: str  # see protocols.Log
+    notes: tuple[str, ...]  # what the reader decided
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,206 @@
+"""The command line: parse, call one function, print. Errors end here, in one line."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from vlmm_log.version import __version__
+
+if TYPE_CHECKING:
+    from vlmm_log.api import Processed
+
+INTERRUPTED = 130
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="vlmm-log")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def cli(debug: bool) -> None:  # noqa: FBT001, ARG001
+    """What moved in a recording, how sure are we, and why did this run differ from the last one?"""
+
+
+@cli.command(
+    epilog="Example: vlmm-log process rgbd_dataset_freiburg3_walking_xyz --rrd walking.rrd && rerun walking.rrd"
+)
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option("--rrd", type=click.Path(path_type=Path), help="Rerun recording to write; SOURCE-name.rrd if not given.")
+@click.option("--profile", default="default", show_default=True, help="default, or paper: what the paper prints.")
+@click.option("--settings", "toml", type=click.Path(path_type=Path), help="TOML file of settings.")
+@click.option("--set", "sets", multiple=True, metavar="A.B=V", help="One setting; repeat as needed.")
+@click.option("--flow", type=click.Choice(["dis", "raft"]), help="Optical flow: dis needs no weights.")
+@click.option("--weights", help="RAFT weights: a file, or a folder with raft*.pth.")
+@click.option("--gap", metavar="K", help="Distance of a pair: frames (3) or seconds (0.1s).")
+@click.option("--start", type=float, help="Seconds from the log's first frame.")
+@click.option("--stop", type=float, help="Seconds from the log's first frame.")
+@click.option("--intrinsics", metavar="F|FX,FY,CX,CY", help="camera.txt or numbers, px.")
+@click.option("--dense", is_flag=True, help="Write full float32 tensors and covariances.")
+@click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
+@click.option("--json", "as_json", is_flag=True, help="Print the closing figures as JSON.")
+def process(
+    source: Path,
+    rrd: Path | None,
+    profile: str,
+    toml: Path | None,
+    sets: tuple[str, ...],
+    flow: str | None,
+    weights: str | None,
+    gap: str | None,
+    start: float | None,
+    stop: float | None,
+    intrinsics: str | None,
+    dense: bool,  # noqa: FBT001
+    force: bool,  # noqa: FBT001
+    as_json: bool,  # noqa: FBT001
+) -> None:
+    """Run the method on every keyframe pair of SOURCE and record every intermediate.
+
+    SOURCE is a folder in TUM RGB-D or Bonn layout.
+    """
+    from vlmm_log.api import process as run
+    from vlmm_log.settings import Settings
+
+    options = {
+        "flow.estimator": flow,
+        "flow.weights": weights,
+        "keyframes.gap": gap if gap is None or not gap.isdigit() else int(gap),
+        "read.start_s": start,
+        "read.stop_s": stop,
+        "read.intrinsics": intrinsics,
+        "log.dense": True if dense else None,
+    }
+    shorthand = [f"{name}={json.dumps(value)}" for name, value in options.items() if value is not None]
+    settings = Settings.load(profile, toml, [*sets, *shorthand])
+    if rrd is None:
+        rrd = Path(f"{source.resolve().name}.rrd")
+        click.echo(f"no output named: writing {rrd}", err=True)
+    with _progress() as progress:
+        done = run(source, rrd=rrd, settings=settings, force=force, progress=progress)
+    if as_json:
+        click.echo(json.dumps(_report(done), indent=2))
+    else:
+        _print_table(done)
+    if not done.end.complete:
+        sys.exit(INTERRUPTED)
+
+
+def main() -> None:
+    """Run the command line. Exit codes: 0 done, 1 the answer is no, 2 cannot be used, 130 interrupted."""
+    debug = "--debug" in sys.argv[1:]
+    try:
+        cli.main(args=[a for a in sys.argv[1:] if a != "--debug"], prog_name="vlmm-log", standalone_mode=False)
+    except click.ClickException as e:
+        where = f"{e.ctx.command_path}: " if isinstance(e, click.UsageError) and e.ctx else "vlmm-log: "
+        click.echo(f"{where}{e.format_message()}", err=True)
+        sys.exit(2)
+    except click.exceptions.Abort:
+        sys.exit(INTERRUPTED)
+    except Exception as e:  # noqa: BLE001  one line for the user, the traceback on request
+        from vlmm_log.types import InputError
+
+        if debug:
+            traceback.print_exc()
+        elif isinstance(e, InputError | OSError):
+            click.echo(f"vlmm-log: {e}", err=True)
+        else:
+            click.echo(f"vlmm-log: internal error: {type(e).__name__}: {e}; run again with --debug and report it", err=True)
+        sys.exit(2)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """A bar with pairs/s and time left on a terminal; else a plain line now and then. On stderr."""
+    if not sys.stderr.isatty():
+        yield _plain_lines()
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = [BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn()]
+    began = time.monotonic()
+    with Progress(TextColumn("pairs"), *columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("pairs", total=None, rate="")
+
+        def update(done: int, expected: int) -> None:
+            rate = f"{done / (time.monotonic() - began):.1f}/s"
+            bar.update(task, completed=done, total=max(expected, done), rate=rate)
+
+        yield update
+
+
+def _plain_lines(every_s: float = 5.0) -> Callable[[int, int], None]:
+    began = last = time.monotonic()
+
+    def update(done: int, expected: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= every_s:
+            last = now
+            rate = done / (now - began)
+            left = max(expected - done, 0) / rate
+            click.echo(f"pair {done} of {expected}, {rate:.1f} pairs/s, {left:.0f} s left", err=True)
+
+    return update
+
+
+def _report(done: Processed) -> dict[str, object]:
+    return {
+        "source": done.run.source,
+        "reader": done.run.reader,
+        "notes": list(done.run.notes),
+        "complete": done.end.complete,
+        "input_hash": done.end.input_hash,
+        "frames": done.end.frames,
+        "outputs": [str(path) for path in done.outputs],
+        "figures": done.summary.figures(),
+        "skipped": dict(done.summary.skipped),
+        "versions": done.run.versions,
+    }
+
+
+ROWS = {  # figure -> what the table calls it, how it is written
+    "pairs": ("pairs", "{:.0f}"),
+    "unreliable_pairs": ("pairs with unreliable ego-motion", "{:.0f}"),
+    "coverage": ("coverage (pixels scored)", "{:.1%}"),
+    "flagged_share": ("flagged (d_M above tau_px)", "{:.2%}"),
+    "static_d_m2_median": ("d_M^2 median (2.366 expected of a still world)", "{:.2f}"),
+    "calibrating_sigma_scale": ("scale of Sigma^1/2 that would calibrate it", "{:.2f}"),
+    "residual_median_m": ("residual median", "{:.4f} m"),
+    "ego_inlier_share": ("ego-refinement inliers", "{:.1%}"),
+    "flow_ms": ("flow", "{:.1f} ms"),
+    "ego_ms": ("ego-refinement", "{:.1f} ms"),
+    "motion_ms": ("motion channel", "{:.1f} ms"),
+}
+
+
+def _print_table(done: Processed) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    table = Table(title=f"{done.run.source} ({done.run.reader}), medians over pairs", title_justify="left")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    figures = done.summary.figures()
+    for name, (label, form) in ROWS.items():
+        if name in figures:
+            table.add_row(label, form.format(figures[name]))
+    for reason, count in sorted(done.summary.skipped.items()):
+        table.add_row(f"noted: {reason}", str(count))
+    console.print(table)
+    for note in done.run.notes:
+        console.print(f"  {note}", highlight=False)
+    for path in done.outputs:
+        size = path.stat().st_size / 1e6
+        state = "" if done.end.complete else " (interrupted: readable up to the last pair)"
+        console.print(f"wrote {path}{state}, {size:.1f} MB", highlight=False, soft_wrap=True)
+    if not done.end.complete and not done.outputs:
+        console.print("interrupted before the first pair: nothing was kept")

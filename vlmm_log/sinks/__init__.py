@@ -1,0 +1,1 @@
+"""Where results go. A sink watches a run and changes nothing."""

@@ -1,0 +1,59 @@
+"""How a recording opens in the Rerun viewer."""
+
+from __future__ import annotations
+
+import rerun.blueprint as rrb
+
+IMAGE = "world/camera/image"
+
+
+def default_blueprint() -> rrb.Blueprint:
+    """The world, the images, the motion channel, plots and the log."""
+    # A depth image under a pinhole is back-projected into any 3-D view that includes it, d_M too: name them all.
+    space = rrb.Spatial3DView(
+        name="world",
+        origin="world",
+        contents=["world", "world/camera", IMAGE, f"{IMAGE}/rgb", f"{IMAGE}/depth"],
+    )
+    motion = rrb.Horizontal(
+        _image("d_M", "residual/d_m"), _image("validity", "validity"), _image("flow", "flow/color")
+    )
+    noise = rrb.Horizontal(
+        _image("sigma_z", "residual/sigma_z"), _image("p_stat", "residual/p_stat"), _image("|m|", "residual/norm")
+    )
+    more = rrb.Horizontal(
+        _image("depth", "depth"), _image("forward-backward error", "flow/fb_error"), _flow_tensor()
+    )
+    numbers = rrb.Tabs(
+        rrb.TimeSeriesView(
+            name="shares",
+            origin="stats",
+            contents=["stats/inlier_share", "stats/valid_share", "stats/flagged_share"],
+        ),
+        rrb.TimeSeriesView(
+            name="sigmas", origin="stats", contents=["stats/median_d_m", "stats/spread"]
+        ),
+        rrb.TimeSeriesView(
+            name="ego", origin="stats", contents=["stats/ego_rotation", "stats/ego_translation", "stats/row_rotation"]
+        ),
+        rrb.TimeSeriesView(name="stage ms", origin="stats/stage_ms"),
+        rrb.TextLogView(name="log", origin="log"),
+        rrb.TextDocumentView(name="run", origin="run"),
+    )
+    rgb = rrb.Spatial2DView(name="rgb", origin=IMAGE, contents=[f"{IMAGE}/rgb", f"{IMAGE}/residual/vectors"])
+    return rrb.Blueprint(
+        rrb.Vertical(rrb.Horizontal(space, rgb), motion, rrb.Horizontal(rrb.Tabs(noise, more), numbers), row_shares=[3, 2, 2]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline="frame"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _image(name: str, path: str) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(name=name, origin=f"{IMAGE}/{path}")
+
+
+def _flow_tensor() -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(name="flow arrows", origin=IMAGE, contents=[f"{IMAGE}/rgb", f"{IMAGE}/flow/arrows"])

@@ -1,0 +1,47 @@
+"""Several sinks as one, none, and the identity function by which they see."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from vlmm_log.protocols import Moment, Observe, R, Sink
+from vlmm_log.types import FramePair, Result, RunEnd
+
+
+class Many:
+    """Gives each result to every sink, in order."""
+
+    def __init__(self, sinks: Sequence[Sink]) -> None:
+        self.sinks = sinks
+
+    def write(self, result: Result, at: Moment) -> None:
+        """Pass the result on."""
+        for sink in self.sinks:
+            sink.write(result, at)
+
+    def close(self, end: RunEnd) -> None:
+        """Close every sink, also when one of them fails."""
+        errors = []
+        for sink in self.sinks:
+            try:
+                sink.close(end)
+            except Exception as e:  # noqa: BLE001  the other sinks' files matter as much
+                errors.append(e)
+        if errors:
+            raise errors[0]
+
+
+def watched_by(sink: Sink, pair: FramePair) -> Observe:
+    """An identity function that shows a pair's results to a sink, with the time that each stage took."""
+    first = pair.first
+    since = time.perf_counter()
+
+    def observe(result: R, /) -> R:
+        nonlocal since
+        elapsed_ms = 1e3 * (time.perf_counter() - since)
+        sink.write(result, Moment(first.stamp_ns, first.index, elapsed_ms))  # type: ignore[arg-type]
+        since = time.perf_counter()
+        return result
+
+    return observe

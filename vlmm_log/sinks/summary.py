@@ -1,0 +1,75 @@
+"""The figures of a run, gathered while it goes."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+from statistics import median
+
+import numpy as np
+
+from vlmm_log.protocols import Moment
+from vlmm_log.types import CHI2_3_MEDIAN, Ego, FlowField, FramePair, Motion, Result, RunEnd, Skipped
+
+
+@dataclass
+class Summary:
+    """Medians over pairs, in the units their names say. NaN and empty lists until a pair was seen."""
+
+    pairs: int = 0
+    unreliable_pairs: int = 0
+    coverage: list[float] = field(default_factory=list)  # share of pixels scored
+    flagged: list[float] = field(default_factory=list)  # share of scored pixels above tau_px
+    static_d_m2: list[float] = field(default_factory=list)
+    residual_m: list[float] = field(default_factory=list)  # median norm of a pair's residuals
+    inlier_share: list[float] = field(default_factory=list)
+    stage_ms: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    skipped: Counter[str] = field(default_factory=Counter)  # reason -> count
+    end: RunEnd | None = None
+
+    def write(self, result: Result, at: Moment) -> None:
+        """Take what the closing table needs."""
+        match result:
+            case Skipped():
+                self.skipped[result.reason] += 1
+            case FramePair():
+                self.pairs += 1
+            case FlowField():
+                self.stage_ms["flow"].append(at.elapsed_ms)
+            case Ego():
+                self.stage_ms["ego"].append(at.elapsed_ms)
+                self.unreliable_pairs += not result.reliable
+                self.inlier_share.append(result.inlier_share)
+            case Motion():
+                self.stage_ms["motion"].append(at.elapsed_ms)
+                self.coverage.append(result.valid_share)
+                if result.valid_share:
+                    self.flagged.append(result.flagged_share())
+                    self.static_d_m2.append(result.static_d_m2_median())
+                    self.residual_m.append(median_norm(result))
+
+    def close(self, end: RunEnd) -> None:
+        """Keep how the run ended."""
+        self.end = end
+
+    def figures(self) -> dict[str, float | int]:
+        """Medians over pairs, for a table or JSON; what no pair gave is left out."""
+        medians = {
+            "coverage": self.coverage,
+            "flagged_share": self.flagged,
+            "static_d_m2_median": self.static_d_m2,
+            "residual_median_m": self.residual_m,
+            "ego_inlier_share": [x for x in self.inlier_share if x == x],
+            **{f"{stage}_ms": values for stage, values in self.stage_ms.items()},
+        }
+        counts = {"pairs": self.pairs, "unreliable_pairs": self.unreliable_pairs}
+        figures: dict[str, float | int] = {**counts, **{k: median(v) for k, v in medians.items() if v}}
+        if self.static_d_m2:
+            figures["calibrating_sigma_scale"] = (median(self.static_d_m2) / CHI2_3_MEDIAN) ** 0.5
+        return figures
+
+
+def median_norm(motion: Motion) -> float:
+    """Median length of the scored residuals, m."""
+    squares = np.einsum("kvu,kvu->vu", motion.residual, motion.residual)
+    return float(np.sqrt(np.median(squares[motion.validity == 0])))

@@ -1,0 +1,52 @@
+"""What a recording shows of dense results: thinner grids, half precision, colours."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vlmm_log.types import Float32, Float64, Frame, Motion, UInt8, Validity
+
+VALIDITY_COLORS: dict[Validity, tuple[int, int, int]] = {  # told apart also by the colour-blind (Okabe and Ito)
+    Validity.VALID: (0, 114, 178),
+    Validity.NO_DEPTH: (40, 40, 40),
+    Validity.OUT_OF_VIEW: (204, 121, 167),
+    Validity.FB_INCONSISTENT: (230, 159, 0),
+    Validity.OCCLUDED: (240, 228, 66),
+}
+
+
+def half(values: NDArray[np.floating]) -> NDArray[np.float16]:
+    """Half precision, clipped to what it can hold."""
+    return np.clip(values, -65504.0, 65504.0).astype(np.float16)
+
+
+def flow_color(flow: Float32) -> UInt8:
+    """(h, w, 3) RGB at half the resolution: direction as hue, length as saturation, 99th percentile full."""
+    coarse = np.ascontiguousarray(flow[::2, ::2])
+    length, angle = cv2.cartToPolar(coarse[..., 0], coarse[..., 1], angleInDegrees=True)
+    longest = max(float(np.percentile(length[::4, ::4], 99)), 1.0)
+    hsv = np.full((*length.shape, 3), 255, np.uint8)
+    hsv[..., 0] = angle * 0.5
+    hsv[..., 1] = np.minimum(length * (255.0 / longest), 255.0)
+    return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB), np.uint8)
+
+
+def arrows(flow: Float32, spacing: int = 16) -> tuple[Float32, Float32]:
+    """Origins and vectors (N, 2) px of the flow on a grid."""
+    v, u = np.mgrid[spacing // 2 : flow.shape[0] : spacing, spacing // 2 : flow.shape[1] : spacing]
+    origins = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float32)
+    return origins, np.asarray(flow[v.ravel(), u.ravel()])
+
+
+def moved_arrows(motion: Motion, frame: Frame, second: Frame, spacing: int = 8) -> tuple[Float32, Float32]:
+    """Origins and vectors (N, 2) px: where flagged pixels went against the static world, across the image."""
+    flagged = motion.d_m[::spacing, ::spacing] > motion.tau_px  # False where NaN
+    v, u = np.nonzero(flagged)
+    v, u = v * spacing, u * spacing
+    R_b_world: Float64 = np.eye(3) if second.T_world_cam is None else second.T_world_cam[:3, :3].T
+    in_camera = R_b_world @ motion.residual[:, v, u].astype(np.float64)
+    focal = np.array([frame.K[0, 0], frame.K[1, 1]])
+    vectors = (in_camera[:2] / frame.depth[v, u]).T * focal
+    return np.stack([u, v], axis=1).astype(np.float32), vectors.astype(np.float32)
