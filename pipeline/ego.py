@@ -10,14 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from vlmm_log import se3
 from vlmm_log.pipeline import ego_kernels as ek
 from vlmm_log.pipeline import kernels
 from vlmm_log.pipeline.matches import Matches
+
+from vlmm_log import se3
 from vlmm_log.settings import EgoSettings
 from vlmm_log.types import CHI2_3_MEDIAN, Ego, Float32, Float64
-
 
 CHI2_3_QUARTILE = 1.2125329030456688  # a quarter of still points is below it; up to three in four may move
 
@@ -58,7 +57,7 @@ def refine_ego(matches: Matches, s: EgoSettings, rng: np.random.Generator) -> Eg
     inlier_share = float(np.mean(grid.whitened(fit, inverse) < cut * scale2))
     d2 = grid.whitened(fit, grid.inverse_covariances(fit))
     spread = float(np.sqrt(np.median(d2) / CHI2_3_MEDIAN))
-    covariance = np.linalg.pinv(hessian, hermitian=True)[:6, :6] * scale2
+    covariance = np.asarray(np.linalg.pinv(hessian, hermitian=True)[:6, :6] * scale2)
     correction = se3.log(fit.T @ se3.inverse(prior))
     reliable = inlier_share >= s.min_inlier_share
     return Ego(fit.T, fit.row_twist, covariance, correction, inlier_share, spread, grid.count, reliable)
@@ -86,11 +85,11 @@ class _Grid:
 
     @property
     def count(self) -> int:
-        return self.row.size
+        return int(self.row.size)
 
     @property
     def height(self) -> int:
-        return self.matches.pair.first.depth.shape[0]
+        return int(self.matches.pair.first.depth.shape[0])
 
     @staticmethod
     def gather(matches: Matches, stride: int) -> _Grid:
@@ -152,9 +151,7 @@ def _gauss_newton(
     weight = np.where(inlier, (1.0 - d2_of_cut) ** 2 if s.inlier == "sigma" else 1.0, 0.0).astype(np.float32)
     moments, gradients = np.empty((3, 6, 6)), np.empty((2, 6))
     share = grid.image_rows / grid.height - 0.5
-    ek.normal_equations(
-        grid.first, grid.second, inverse, weight, grid.row, grid.rows(fit), share, moments, gradients
-    )
+    ek.normal_equations(grid.first, grid.second, inverse, weight, grid.row, grid.rows(fit), share, moments, gradients)
     if s.model == "rigid":
         normal, side = moments[0], gradients[0]
     else:

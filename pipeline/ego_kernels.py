@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from vlmm_log.pipeline.kernels import NX, NY, ZA, ZB, Camera, Model, jit, lateral_of, sheared
 
-from vlmm_log.pipeline.kernels import NX, NY, ZA, ZB, Camera, Model, _sheared, jit, lateral_of
 from vlmm_log.types import Float32, Float64
 
 f32 = np.float32
@@ -23,7 +23,7 @@ def inverse_covariances(
     for i in range(g.shape[1]):
         T = rows[row[i]]
         lateral = lateral_of(T, camera, m)
-        _, _, _, sxx, sxy, sxz, syy, syz, szz, _, _, _ = _sheared(g, i, rays[0, i], rays[1, i], T, lateral, m)
+        _, _, _, sxx, sxy, sxz, syy, syz, szz, _, _, _ = sheared(g, i, rays[0, i], rays[1, i], T, lateral, m)
         axx, axy, axz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
         ayy, ayz, azz = sxx * szz - sxz * sxz, sxy * sxz - sxx * syz, sxx * syy - sxy * sxy
         inv = f32(1) / (sxx * axx + sxy * axy + sxz * axz)
@@ -49,7 +49,9 @@ def points(g: Float32, rays: Float32, first: Float32, second: Float32) -> None:
 
 
 @jit
-def msac(hypotheses: Float32, first: Float32, second: Float32, inverse: Float32, cut: np.float32, cost: Float32) -> None:
+def msac(
+    hypotheses: Float32, first: Float32, second: Float32, inverse: Float32, cut: np.float32, cost: Float32
+) -> None:
     """Sum over matches of min(d_M^2, cut) for each hypothesis (n, 12). Torr and Zisserman 2000."""
     for k in range(hypotheses.shape[0]):
         T = hypotheses[k]
@@ -66,9 +68,7 @@ def msac(hypotheses: Float32, first: Float32, second: Float32, inverse: Float32,
 
 
 @jit
-def whitened(
-    first: Float32, second: Float32, inverse: Float32, row: Int32, rows: Float32, d2: Float32
-) -> None:
+def whitened(first: Float32, second: Float32, inverse: Float32, row: Int32, rows: Float32, d2: Float32) -> None:
     """d_M^2 of each match under the transforms ``rows`` (h, 12) of its image row."""
     for i in range(first.shape[1]):
         T = rows[row[i]]

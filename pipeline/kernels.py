@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from vlmm_log.types import Float32, Float64, UInt8
+from vlmm_log.types import Float32, UInt8
 
 f32 = np.float32
 
@@ -210,7 +209,7 @@ def gather_row(
 
 
 @jit
-def _sheared(g: Float32, i: int, nax: Any, nay: Any, T: Float32, lateral: Any, m: Model) -> Any:
+def sheared(g: Float32, i: int, nax: Any, nay: Any, T: Float32, lateral: Any, m: Model) -> Any:
     """Residual (3) and Sigma_m (6) of one gathered match in the sheared frame of camera b, and the point p.
 
     T (12) is R row by row, then t: the first camera in the second. ``lateral`` (6) is
@@ -301,20 +300,20 @@ def measure(
     behind = np.empty(W, np.float32)
     for v in range(H):
         status = validity[v]
-        gather_row(
-            v, 1, depth_a, depth_b, range_a, range_b, forward, fb_error, flow_cov, camera, m, g, status
-        )
+        gather_row(v, 1, depth_a, depth_b, range_a, range_b, forward, fb_error, flow_cov, camera, m, g, status)
         T = rows[v]
         nay = (f32(v) - camera.cy) / camera.fy
         lateral = lateral_of(T, camera, m)
         out_x, out_y, out_z, out_d = residual[0, v], residual[1, v], residual[2, v], d_m[v]
         for u in range(W):
-            rx, ry, rz, sxx, sxy, sxz, syy, syz, szz, _, _, pz = _sheared(g, u, nax[u], nay, T, lateral, m)
+            rx, ry, rz, sxx, sxy, sxz, syy, syz, szz, _, _, _ = sheared(g, u, nax[u], nay, T, lateral, m)
             # adjugate of Sigma
             axx, axy, axz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
             ayy, ayz, azz = sxx * szz - sxz * sxz, sxy * sxz - sxx * syz, sxx * syy - sxy * sxy
             det = sxx * axx + sxy * axy + sxz * axz
-            quad = rx * (axx * rx + f32(2) * (axy * ry + axz * rz)) + ry * (ayy * ry + f32(2) * ayz * rz) + azz * rz * rz
+            quad = (
+                rx * (axx * rx + f32(2) * (axy * ry + axz * rz)) + ry * (ayy * ry + f32(2) * ayz * rz) + azz * rz * rz
+            )
             out_d[u] = math.sqrt(max(quad / det, f32(0)))
             # out of the shear, then into the world
             rx += g[NX, u] * rz
@@ -370,9 +369,7 @@ def sigma_m(
     S = np.empty((3, 3), np.float32)
     for j in range(h):
         v = j * stride
-        gather_row(
-            v, stride, depth_a, depth_b, range_a, range_b, forward, fb_error, flow_cov, camera, m, g, status
-        )
+        gather_row(v, stride, depth_a, depth_b, range_a, range_b, forward, fb_error, flow_cov, camera, m, g, status)
         T = rows[v]
         nay = (f32(v) - camera.cy) / camera.fy
         lateral = lateral_of(T, camera, m)
@@ -382,7 +379,7 @@ def sigma_m(
                 upper[:, j, i] = f32(np.nan)
                 continue
             nax = (f32(i * stride) - camera.cx) / camera.fx
-            _, _, _, sxx, sxy, sxz, syy, syz, szz, _, _, _ = _sheared(g, i, nax, nay, T, lateral, m)
+            _, _, _, sxx, sxy, sxz, syy, syz, szz, _, _, _ = sheared(g, i, nax, nay, T, lateral, m)
             sigma_z[j, i] = math.sqrt(szz)
             nx, ny = g[NX, i], g[NY, i]
             # undo the shear: S^-1 Sigma S^-T
@@ -436,7 +433,3 @@ def gather_grid(
             planes[:, j],
             status[j],
         )
-
-
-IntIndex = NDArray[np.int64]
-__all__ = ["Camera", "Float64", "IntIndex", "Model", "gather_grid", "measure", "p_stat_table", "round_trip", "sigma_m"]

@@ -31,7 +31,7 @@ class Gap:
             found = Gap(0, round(float(text[:-1]) * 1e9)) if text.endswith("s") else Gap(int(text))
         except (ValueError, OverflowError):
             found = Gap(0)
-        if not (0 < found.frames <= LONGEST_GAP or 0 < found.ns):
+        if not (0 < found.frames <= LONGEST_GAP or found.ns > 0):
             raise InputError(
                 f"keyframes.gap = {gap!r}: give 1 to {LONGEST_GAP} frames, as in 3, or seconds, as in '0.1s'"
             )
@@ -76,9 +76,7 @@ def _partner(waiting: deque[Frame], gap: Gap, *, last: bool) -> int | None:
     return best if abs(waiting[best].stamp_ns - target) <= gap.ns // 2 else 0
 
 
-def _paired(
-    waiting: deque[Frame], starts: deque[bool], partner: int, gap: Gap
-) -> Iterator[FramePair | Skipped]:
+def _paired(waiting: deque[Frame], starts: deque[bool], partner: int, gap: Gap) -> Iterator[FramePair | Skipped]:
     first = waiting[0]
     if starts[0] and partner:
         yield FramePair(first, waiting[partner])
@@ -100,9 +98,10 @@ def prefetched(stream: Iterable[T], ahead: int) -> Generator[T]:
     def put(kind: str, value: T | BaseException | None) -> None:
         while not stop.is_set():
             try:
-                return box.put((kind, value), timeout=0.1)
+                box.put((kind, value), timeout=0.1)
             except queue.Full:
                 continue
+            return
 
     def produce() -> None:
         try:

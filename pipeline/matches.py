@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-
 from vlmm_log.pipeline import kernels
 from vlmm_log.pipeline.kernels import Camera, Model
+
 from vlmm_log.settings import EgoSettings, GateSettings, NoiseSettings
-from vlmm_log.types import FlowField, Float32, FramePair, UInt8
+from vlmm_log.types import Float32, FlowField, FramePair, UInt8
 
 f32 = np.float32
 
@@ -80,7 +80,7 @@ def local_depth_range(depth: Float32) -> Float32:
     unseen = np.isnan(depth)
     far = cv2.dilate(np.where(unseen, f32(-1), depth), kernel)
     near = cv2.erode(np.where(unseen, f32(1e4), depth), kernel)
-    return np.maximum(far - near, f32(0))
+    return np.asarray(np.maximum(far - near, f32(0)), np.float32)
 
 
 def flow_covariance(rgb: UInt8, forward: Float32, noise: NoiseSettings) -> Float32:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
-
 from vlmm_log.pipeline.ego import refine_ego
 from vlmm_log.pipeline.flow import estimate_flow
 from vlmm_log.pipeline.keyframes import Gap, pairs, prefetched
 from vlmm_log.pipeline.matches import match
 from vlmm_log.pipeline.motion import measure_motion
+
 from vlmm_log.protocols import FlowEstimator, Observe, unseen
 from vlmm_log.settings import KeyframeSettings, Settings
 from vlmm_log.types import Frame, FramePair, Motion, Skipped
@@ -54,7 +54,7 @@ class Tally:
             yield item
 
     def input_hash(self) -> str:
-        """SHA-256 over every frame's index, stamp, images, intrinsics and pose: equal for equal content in any container."""
+        """SHA-256 over every frame's index, stamp, images, intrinsics and pose: alike in any container."""
         return self._digest.hexdigest()
 
     def _add(self, frame: Frame) -> None:
@@ -70,9 +70,7 @@ def expected_pairs(frames: int, s: KeyframeSettings) -> int:
     return max(-(-starts // s.stride), 0)
 
 
-def keyframe_pairs(
-    stream: Iterable[Frame | Skipped], s: Settings, tally: Tally
-) -> Iterator[FramePair | Skipped]:
+def keyframe_pairs(stream: Iterable[Frame | Skipped], s: Settings, tally: Tally) -> Generator[FramePair | Skipped]:
     """Pairs of a stream of frames, decoded ahead in a thread, and all that was left out."""
     with closing(prefetched(tally.counted(stream), READ_AHEAD)) as frames:
         yield from pairs(frames, s.keyframes)

@@ -44,11 +44,10 @@ def from_text(text: str) -> Intrinsics:
     parts = text.split(",")
     if len(parts) == 4:
         try:
-            values = [float(p) for p in parts]
-        except ValueError:
-            values = []
-        if values:
-            return _checked(Intrinsics(*values, source="--intrinsics"), f"--intrinsics {text}")
+            fx, fy, cx, cy = (float(p) for p in parts)
+        except ValueError as e:
+            raise InputError(f"--intrinsics {text}: four numbers are expected, fx,fy,cx,cy in px") from e
+        return _checked(Intrinsics(fx, fy, cx, cy, source="--intrinsics"), f"--intrinsics {text}")
     path = Path(text)
     if path.is_file():
         return from_file(path)
@@ -77,9 +76,15 @@ def from_file(path: Path) -> Intrinsics:
     missing = [name for name in ("fx", "fy", "cx", "cy") if name not in values]
     if missing:
         raise InputError(f"{path}: lacks {', '.join(missing)}; add them or give --intrinsics fx,fy,cx,cy")
-    size = [int(values.get(name, 0)) for name in ("width", "height")]
     camera = Intrinsics(
-        *(values[name] for name in ("fx", "fy", "cx", "cy")), *size, values.get("depth_scale", 0.0), path.name
+        values["fx"],
+        values["fy"],
+        values["cx"],
+        values["cy"],
+        int(values.get("width", 0)),
+        int(values.get("height", 0)),
+        values.get("depth_scale", 0.0),
+        path.name,
     )
     return _checked(camera, str(path))
 

@@ -24,7 +24,7 @@ INTERRUPTED = 130
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="vlmm-log")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
-def cli(debug: bool) -> None:  # noqa: FBT001, ARG001
+def cli(debug: bool) -> None:
     """What moved in a recording, how sure are we, and why did this run differ from the last one?"""
 
 
@@ -57,9 +57,9 @@ def process(
     start: float | None,
     stop: float | None,
     intrinsics: str | None,
-    dense: bool,  # noqa: FBT001
-    force: bool,  # noqa: FBT001
-    as_json: bool,  # noqa: FBT001
+    dense: bool,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Run the method on every keyframe pair of SOURCE and record every intermediate.
 
@@ -111,7 +111,9 @@ def main() -> None:
         elif isinstance(e, InputError | OSError):
             click.echo(f"vlmm-log: {e}", err=True)
         else:
-            click.echo(f"vlmm-log: internal error: {type(e).__name__}: {e}; run again with --debug and report it", err=True)
+            click.echo(
+                f"vlmm-log: internal error: {type(e).__name__}: {e}; run again with --debug and report it", err=True
+            )
         sys.exit(2)
 
 

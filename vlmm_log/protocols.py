@@ -16,10 +16,25 @@ R = TypeVar("R")
 class Log(Protocol):
     """An opened log."""
 
-    name: str
-    has_poses: bool
-    world_up: str  # axis of the world that points up: "+z", "+y"; "-y" where the world is the camera's frame
-    notes: list[str]  # what the reader decided, and where from: intrinsics, pose source
+    @property
+    def name(self) -> str:
+        """What to call it: the folder's or file's name."""
+        ...
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether any pose was read."""
+        ...
+
+    @property
+    def world_up(self) -> str:
+        """Axis of the world that points up: "+z", "+y"; "-y" where the world is the camera's frame."""
+        ...
+
+    @property
+    def notes(self) -> list[str]:
+        """What the reader decided, and where from: intrinsics, depth scale, pose source."""
+        ...
 
     def count(self, start_ns: int, stop_ns: int) -> int:
         """How many frames ``frames`` will try, for progress."""

@@ -19,9 +19,7 @@ T = TypeVar("T")
 S = TypeVar("S")
 
 
-def knob(
-    default: T, doc: str, *, low: float | None = None, high: float | None = None, of: tuple[str, ...] = ()
-) -> T:
+def knob(default: T, doc: str, *, low: float | None = None, high: float | None = None, of: tuple[str, ...] = ()) -> T:
     """A setting: its default, meaning with unit, range (both ends allowed) or choices."""
     field_: T = field(default=default, metadata={"doc": doc, "low": low, "high": high, "of": of})
     return field_
@@ -94,7 +92,9 @@ class NoiseSettings:
     flow_lambda: float = knob(1.0, "lambda of the texture's flow covariance, grey levels^2/px^2", low=1e-6)
     grey_sigma: float = knob(1.0, "image noise, grey levels: the part N of G that is no texture", low=0)
     flow_spread: float = knob(
-        0.7, "flow noise at b as a share of the flow's own standard deviation over 36x36 px, camera's part removed", low=0
+        0.7,
+        "flow noise at b as a share of the flow's own standard deviation over 36x36 px, camera's part removed",
+        low=0,
     )
     alpha: float = knob(0.05, "share of still pixels that the test may flag", low=1e-9, high=0.999)
 

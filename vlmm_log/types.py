@@ -72,7 +72,7 @@ class FramePair:
         a, b = self.first.T_world_cam, self.second.T_world_cam
         if a is None or b is None:
             return np.eye(4)
-        return np.linalg.solve(b, a)
+        return np.asarray(np.linalg.solve(b, a), np.float64)
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class Motion:
 
     def scored(self) -> Float32:
         """(N,) d_m of the pixels that were scored."""
-        return self.d_m[self.validity == Validity.VALID]
+        return np.asarray(self.d_m[self.validity == Validity.VALID])
 
     def flagged_share(self) -> float:
         """Share of scored pixels above tau_px; NaN if none was scored."""

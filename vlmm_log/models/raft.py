@@ -72,7 +72,7 @@ def load(path: Path) -> Any:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         network.load_state_dict(torchvision_keys(state))
-    except Exception as e:  # noqa: BLE001  torch raises half a dozen types for a foreign file
+    except Exception as e:
         first_line = str(e).splitlines()[0][:120]
         raise InputError(f"{path}: not weights of RAFT large ({first_line})") from e
     return network.eval()
@@ -85,7 +85,7 @@ def torchvision_keys(state: dict[str, Any]) -> dict[str, Any]:
         if ".norm3." in key:  # the same tensors as downsample.1
             continue
         for pattern, name in _PRINCETON:
-            key = re.sub(pattern, name, key)  # noqa: PLW2901
+            key = re.sub(pattern, name, key)
         renamed[key] = value
     return renamed
 
@@ -99,7 +99,7 @@ def _raft_large() -> Any:
         if "torchvision::nms" not in str(e):
             raise
         # torchvision's compiled operators were built for another torch; RAFT uses none of them
-        library = torch.library.Library("torchvision", "DEF")
+        library: Any = torch.library.Library("torchvision", "DEF")  # type: ignore[no-untyped-call]
         library.define("nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
         library.define("qnms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
         from torchvision.models.optical_flow import raft_large

@@ -15,14 +15,15 @@ def default_blueprint() -> rrb.Blueprint:
         origin="world",
         contents=["world", "world/camera", IMAGE, f"{IMAGE}/rgb", f"{IMAGE}/depth"],
     )
-    motion = rrb.Horizontal(
-        _image("d_M", "residual/d_m"), _image("validity", "validity"), _image("flow", "flow/color")
-    )
+    motion = rrb.Horizontal(_image("d_M", "residual/d_m"), _image("validity", "validity"), _image("flow", "flow/color"))
     noise = rrb.Horizontal(
-        _image("sigma_z", "residual/sigma_z"), _image("p_stat", "residual/p_stat"), _image("|m|", "residual/norm")
+        _image("sigma_z", "residual/sigma_z"),
+        _image("p_stat", "residual/p_stat"),
+        _image("|m|", "residual/norm"),
+        name="noise",
     )
     more = rrb.Horizontal(
-        _image("depth", "depth"), _image("forward-backward error", "flow/fb_error"), _flow_tensor()
+        _image("depth", "depth"), _image("forward-backward error", "flow/fb_error"), _flow_arrows(), name="input"
     )
     numbers = rrb.Tabs(
         rrb.TimeSeriesView(
@@ -30,9 +31,7 @@ def default_blueprint() -> rrb.Blueprint:
             origin="stats",
             contents=["stats/inlier_share", "stats/valid_share", "stats/flagged_share"],
         ),
-        rrb.TimeSeriesView(
-            name="sigmas", origin="stats", contents=["stats/median_d_m", "stats/spread"]
-        ),
+        rrb.TimeSeriesView(name="sigmas", origin="stats", contents=["stats/median_d_m", "stats/spread"]),
         rrb.TimeSeriesView(
             name="ego", origin="stats", contents=["stats/ego_rotation", "stats/ego_translation", "stats/row_rotation"]
         ),
@@ -42,7 +41,9 @@ def default_blueprint() -> rrb.Blueprint:
     )
     rgb = rrb.Spatial2DView(name="rgb", origin=IMAGE, contents=[f"{IMAGE}/rgb", f"{IMAGE}/residual/vectors"])
     return rrb.Blueprint(
-        rrb.Vertical(rrb.Horizontal(space, rgb), motion, rrb.Horizontal(rrb.Tabs(noise, more), numbers), row_shares=[3, 2, 2]),
+        rrb.Vertical(
+            rrb.Horizontal(space, rgb), motion, rrb.Horizontal(rrb.Tabs(noise, more), numbers), row_shares=[3, 2, 2]
+        ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline="frame"),
@@ -55,5 +56,5 @@ def _image(name: str, path: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(name=name, origin=f"{IMAGE}/{path}")
 
 
-def _flow_tensor() -> rrb.Spatial2DView:
+def _flow_arrows() -> rrb.Spatial2DView:
     return rrb.Spatial2DView(name="flow arrows", origin=IMAGE, contents=[f"{IMAGE}/rgb", f"{IMAGE}/flow/arrows"])

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from vlmm_log.protocols import Moment
 from vlmm_log.sinks import views
 from vlmm_log.sinks.blueprint import IMAGE, default_blueprint
 from vlmm_log.sinks.summary import median_norm
-from vlmm_log.types import Ego, FlowField, Frame, FramePair, InputError, Motion, Result, Run, RunEnd, Skipped, Validity
+from vlmm_log.types import Ego, FlowField, Frame, FramePair, InputError, Motion, Result, Run, RunEnd, Skipped
 
 ROWS_A_BATCH = 32  # scalars are sent in columns: 100 times cheaper than one by one
-UP = {"+z": rr.ViewCoordinates.RIGHT_HAND_Z_UP, "+y": rr.ViewCoordinates.RIGHT_HAND_Y_UP, "-y": rr.ViewCoordinates.RIGHT_HAND_Y_DOWN}
+UP = {
+    "+z": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
+    "+y": rr.ViewCoordinates.RIGHT_HAND_Y_UP,
+    "-y": rr.ViewCoordinates.RIGHT_HAND_Y_DOWN,
+}
 
 
 class Rerun:
@@ -91,7 +96,7 @@ class Rerun:
         rec.log("world", UP[run.world_up], static=True)
         if not run.has_poses:
             rec.log("world/camera", rr.Transform3D(), static=True)
-        ranges: dict[str, tuple[float, float, str]] = {
+        ranges: dict[str, tuple[float, float, Literal["turbo", "viridis", "magma"]]] = {
             "residual/d_m": (0.0, 8.0, "turbo"),
             "residual/norm": (0.0, 0.3, "turbo"),
             "residual/sigma_z": (0.0, 0.1, "viridis"),
@@ -182,7 +187,7 @@ class Rerun:
             rec.log(f"{path}/norm", rr.DepthImage(norm))
             rec.log(f"{path}/sigma_z", rr.DepthImage(thin.sigma_z))
             rec.log(f"{path}/tensor", rr.Tensor(motion.residual, dim_names=["xyz", "height", "width"]))
-            covariance = thin.upper
+            covariance: NDArray[np.floating] = thin.upper
         else:
             rec.log(f"{path}/d_m", rr.DepthImage(views.half(motion.d_m)))
             rec.log(f"{path}/p_stat", rr.DepthImage(views.half(motion.p_stat[::2, ::2])))

@@ -19,7 +19,7 @@ VALIDITY_COLORS: dict[Validity, tuple[int, int, int]] = {  # told apart also by 
 
 def half(values: NDArray[np.floating]) -> NDArray[np.float16]:
     """Half precision, clipped to what it can hold."""
-    return np.clip(values, -65504.0, 65504.0).astype(np.float16)
+    return np.asarray(np.clip(values, -65504.0, 65504.0), np.float16)
 
 
 def flow_color(flow: Float32) -> UInt8:

@@ -1,0 +1,38 @@
+# One target for each thing a person does. `make demo` and `make test` set up what they need.
+VENV ?= .venv
+PY := $(VENV)/bin/python
+
+.PHONY: demo test check bench golden picture house clean
+
+$(VENV)/.ready: pyproject.toml
+	python3 -m venv $(VENV)
+	$(PY) -m pip install -q --upgrade pip
+	$(PY) -m pip install -q -e '.[dev]'
+	touch $@
+
+demo: $(VENV)/.ready  ## render a small sequence, process it, say how to look at it
+	$(PY) examples/render_room.py demo/room
+	$(VENV)/bin/vlmm-log process demo/room --rrd demo/room.rrd --force
+	@echo "look at it: $(VENV)/bin/rerun demo/room.rrd"
+
+test: $(VENV)/.ready  ## all tests
+	$(PY) -m pytest -q
+
+house:  ## the import tree as the installed package has it, of links, for tools that read files
+	rm -rf .house && mkdir -p .house/vlmm_log
+	ln -s $(CURDIR)/vlmm_log/* .house/vlmm_log/
+	ln -s $(CURDIR)/readers $(CURDIR)/pipeline .house/vlmm_log/
+
+check: $(VENV)/.ready house  ## lint, format, types
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	cd .house && ../$(VENV)/bin/mypy --config-file ../pyproject.toml vlmm_log
+
+bench: $(VENV)/.ready  ## speed as ratios, from one run
+	$(PY) -m benchmarks.kernels
+
+picture: $(VENV)/.ready  ## the README's picture, from the demo, by the headless viewer (needs Vulkan)
+	$(PY) examples/viewer_picture.py demo/room.rrd docs/viewer.png --frame 12
+
+clean:
+	rm -rf .house build dist demo *.egg-info
