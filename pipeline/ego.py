@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from vlmm_log import se3
 from vlmm_log.pipeline import ego_kernels as ek
 from vlmm_log.pipeline import kernels
 from vlmm_log.pipeline.matches import Matches
-
-from vlmm_log import se3
 from vlmm_log.settings import EgoSettings
 from vlmm_log.types import CHI2_3_MEDIAN, Ego, Float32, Float64
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from vlmm_log.pipeline.kernels import NX, NY, ZA, ZB, Camera, Model, jit, lateral_of, sheared
 
+from vlmm_log.pipeline.kernels import NX, NY, ZA, ZB, Camera, Model, jit, lateral_of, sheared
 from vlmm_log.types import Float32, Float64
 
 f32 = np.float32

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from vlmm_log.pipeline import kernels
 
+from vlmm_log.pipeline import kernels
 from vlmm_log.protocols import FlowEstimator
 from vlmm_log.types import FlowField, FramePair
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+
 from vlmm_log.pipeline import kernels
 from vlmm_log.pipeline.kernels import Camera, Model
-
 from vlmm_log.settings import EgoSettings, GateSettings, NoiseSettings
 from vlmm_log.types import Float32, FlowField, FramePair, UInt8
 

@@ -6,10 +6,10 @@ import functools
 
 import numpy as np
 from scipy.special import chdtri
+
 from vlmm_log.pipeline import kernels
 from vlmm_log.pipeline.ego import as_rows, row_transforms
 from vlmm_log.pipeline.matches import Matches
-
 from vlmm_log.types import Covariances, Ego, Float32, Motion
 
 

@@ -8,12 +8,12 @@ from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
+
 from vlmm_log.pipeline.ego import refine_ego
 from vlmm_log.pipeline.flow import estimate_flow
 from vlmm_log.pipeline.keyframes import Gap, pairs, prefetched
 from vlmm_log.pipeline.matches import match
 from vlmm_log.pipeline.motion import measure_motion
-
 from vlmm_log.protocols import FlowEstimator, Observe, unseen
 from vlmm_log.settings import KeyframeSettings, Settings
 from vlmm_log.types import Frame, FramePair, Motion, Skipped

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from vlmm_log.protocols import Log, Reader
 from vlmm_log.readers.bonn import Bonn
 from vlmm_log.readers.tum import Tum
-
-from vlmm_log.protocols import Log, Reader
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import InputError
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from vlmm_log.readers.intrinsics import BONN
-from vlmm_log.readers.tum import is_tum_folder, open_folder
 
 from vlmm_log.protocols import Log
+from vlmm_log.readers.intrinsics import BONN
+from vlmm_log.readers.tum import is_tum_folder, open_folder
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import Float64
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+
+from vlmm_log.protocols import Log
 from vlmm_log.readers import intrinsics
 from vlmm_log.readers.images import ImageError, decode_depth, decode_rgb, media_type
 from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.readers.poses import Trajectory, trajectory, usable_pose
 from vlmm_log.readers.stamps import associate, seconds_to_ns
-
-from vlmm_log.protocols import Log
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import EncodedImage, Float64, Frame, InputError, Skipped
 

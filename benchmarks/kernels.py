@@ -1,0 +1,135 @@
+"""Speed of the geometric stages, as ratios: against a plain form, and against copying the same bytes.
+
+    python -m benchmarks.kernels
+
+Real images where they are at hand, else the rendered room. One thread; medians of one run.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy
+
+import cv2
+import numpy as np
+
+from benchmarks.data import SLICE, frames
+from vlmm_log import se3
+from vlmm_log.models.dis import Dis
+from vlmm_log.pipeline import kernels
+from vlmm_log.pipeline.ego import refine_ego
+from vlmm_log.pipeline.flow import estimate_flow
+from vlmm_log.pipeline.matches import Matches, match
+from vlmm_log.pipeline.motion import measure_motion
+from vlmm_log.pipeline.run import Models, step
+from vlmm_log.protocols import Moment
+from vlmm_log.settings import Settings
+from vlmm_log.sinks.many import watched_by
+from vlmm_log.types import Ego, FramePair
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "examples")]
+import render_room  # noqa: E402
+import textbook  # noqa: E402
+
+
+def milliseconds(work: Callable[[], object], repeats: int = 15) -> float:
+    """Median time of a call, after one that warms up."""
+    work()
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        times.append(1e3 * (time.perf_counter() - began))
+    return float(np.median(times))
+
+
+def copied_bytes(matches: Matches, ego: Ego) -> list[np.ndarray]:
+    """The arrays that the fused kernel reads and writes."""
+    motion = measure_motion(matches, ego)
+    return [*matches.arrays(), motion.residual, motion.d_m, motion.p_stat, motion.validity]
+
+
+def batched_inverse(matches: Matches, ego: Ego) -> object:
+    """einsum and a batched inverse, float32 where numpy keeps it: the usual way to write it."""
+    return textbook.motion(matches, ego)
+
+
+def logging_share(pair: FramePair, models: Models, s: Settings) -> tuple[float, float]:
+    """Time in the lean Rerun sink and in the whole pair without decoding, ms."""
+    from vlmm_log.sinks.rerun import Rerun
+    from vlmm_log.types import Run, RunEnd
+
+    class Timed:
+        def __init__(self, sink: Rerun) -> None:
+            self.sink, self.ms = sink, 0.0
+
+        def write(self, result: object, at: Moment) -> None:
+            began = time.perf_counter()
+            self.sink.write(result, at)  # type: ignore[arg-type]
+            self.ms += 1e3 * (time.perf_counter() - began)
+
+    with tempfile.TemporaryDirectory() as folder:
+        run = Run("bench", "bench", s.to_toml(), {}, True, "+z", ())
+        sink = Rerun(Path(folder) / "bench.rrd", run, recording_id="bench", dense=False)
+        shares, whole = [], []
+        for _ in range(20):
+            timed = Timed(sink)
+            began = time.perf_counter()
+            observe = watched_by(timed, pair)  # type: ignore[arg-type]
+            step(observe(pair), models, s, observe)
+            whole.append(1e3 * (time.perf_counter() - began))
+            shares.append(timed.ms)
+        sink.close(RunEnd(True, "", 2, 20))
+    return float(np.median(shares)), float(np.median(whole))
+
+
+def main() -> None:
+    cv2.setNumThreads(1)
+    s = Settings()
+    if SLICE.exists():
+        source, logged = "real slice", frames(SLICE)[15:19]
+        pair = FramePair(logged[0], logged[3])
+    else:
+        source = "rendered room"
+        with tempfile.TemporaryDirectory() as folder:
+            render_room.write_tum(Path(folder), 4)
+            logged = frames(Path(folder))
+        pair = FramePair(logged[0], logged[3])
+    dis = Dis(s.flow)
+    flow = estimate_flow(pair, dis)
+    matches = match(pair, flow, s.gate, s.noise, s.ego)
+    rng = np.random.default_rng(0)
+    ego = refine_ego(matches, s.ego, rng)
+    arrays = [a.copy() for a in copied_bytes(matches, ego)]
+    into = [np.empty_like(a) for a in arrays]
+    size = sum(a.nbytes for a in arrays) / pair.first.depth.size
+
+    copy = milliseconds(lambda: [np.copyto(b, a) for a, b in zip(arrays, into, strict=True)])
+    fused = milliseconds(lambda: measure_motion(matches, ego))
+    naive = milliseconds(lambda: batched_inverse(matches, ego), repeats=3)
+    rows = [
+        ("flow both ways, DIS fast", milliseconds(lambda: dis(pair.first, pair.second)), ""),
+        ("round trip of the flow", milliseconds(lambda: kernels.round_trip(flow.forward, flow.backward, into[5])), ""),
+        ("noise of the matches", milliseconds(lambda: match(pair, flow, s.gate, s.noise, s.ego)), ""),
+        ("ego-refinement, row_linear", milliseconds(lambda: refine_ego(matches, s.ego, rng)), "at most 20 ms"),
+        ("copy of the same bytes", copy, f"{size:.0f} bytes a pixel"),
+        ("motion channel, fused", fused, f"{fused / copy:.1f} copies (at most 6), naive / fused {naive / fused:.0f}"),
+        ("motion channel, einsum + inverse", naive, f"at least 100 times the fused one: {naive / fused:.0f}"),
+    ]
+    share, whole = logging_share(pair, Models(dis), s)
+    rows.append(("lean logging", share, f"{share / whole:.0%} of the pair's {whole:.0f} ms (at most 25 %)"))
+    print(f"{source}, {pair.first.depth.shape[1]}x{pair.first.depth.shape[0]}, one thread, medians")
+    for name, ms, note in rows:
+        print(f"  {name:34s} {ms:9.2f} ms   {note}")
+    assert np.isfinite(se3.log(ego.T_second_first)).all()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""The floors of the house: imports point down, names say something."""
+
+import ast
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = {  # folder or file -> what of the project it may import
+    "vlmm_log/types.py": set(),
+    "vlmm_log/version.py": set(),
+    "vlmm_log/se3.py": {"types"},
+    "vlmm_log/settings.py": {"types"},
+    "vlmm_log/protocols.py": {"types", "settings"},
+    "readers": {"types", "se3", "settings", "protocols", "readers"},
+    "pipeline": {"types", "se3", "settings", "protocols", "pipeline"},
+    "vlmm_log/models": {"types", "se3", "settings", "protocols", "models"},
+    "vlmm_log/sinks": {"types", "se3", "settings", "protocols", "sinks"},
+}
+FOREIGN = {  # what only some rooms may know
+    "rerun": {"vlmm_log/sinks"},
+    "mcap": {"vlmm_log/sinks", "readers"},
+    "rosbags": {"vlmm_log/sinks", "readers"},
+    "torch": {"vlmm_log/models"},
+    "torchvision": {"vlmm_log/models"},
+    "open3d": {"vlmm_log/models"},
+    "numba": {"pipeline"},
+    "click": {"vlmm_log/cli.py"},
+}
+SOURCES = sorted(p for d in ("vlmm_log", "readers", "pipeline") for p in (ROOT / d).rglob("*.py"))
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def room_of(path):
+    name = path.relative_to(ROOT).as_posix()
+    return next((room for room in ROOMS if name == room or name.startswith(room + "/")), None)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_imports_point_down(path):
+    room = room_of(path)
+    for name in imports(path):
+        top, *rest = name.split(".")
+        assert top not in ("readers", "pipeline"), f"{path}: bare import of {top} makes a second copy of every class"
+        if top == "vlmm_log" and room is not None and rest:
+            assert rest[0] in ROOMS[room], f"{path}: {room} may not import {name}"
+        if top in FOREIGN:
+            known = any(path.relative_to(ROOT).as_posix().startswith(r) for r in FOREIGN[top])
+            assert known, f"{path}: may not know {top}"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_names_say_something(path):
+    assert not re.search(r"util|helper|manager|common|base|misc", path.stem)
+
+
+def test_every_room_is_packaged():
+    packages = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    places = {"vlmm_log.readers": "readers", "vlmm_log.pipeline": "pipeline"}
+    listed = {places.get(p, p.replace(".", "/")) for p in packages}
+    assert listed == {p.parent.relative_to(ROOT).as_posix() for p in SOURCES}
+
+
+def test_public_face_is_what_the_readme_shows():
+    import vlmm_log
+
+    readme = (ROOT / "README.md").read_text("utf-8")
+    for name in set(vlmm_log.__all__) - {"__version__"}:
+        assert getattr(vlmm_log, name) is not None
+        assert re.search(rf"\b{name}\b", readme), f"README does not show {name}"

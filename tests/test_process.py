@@ -1,0 +1,170 @@
+"""The whole run: the seam, the recording, interruption."""
+
+import numpy as np
+import pytest
+
+import render_room
+import vlmm_log
+from vlmm_log.sinks.memory import Memory
+from vlmm_log.types import Ego, FlowField, FramePair, InputError, Motion, Skipped
+
+IMAGE = "/world/camera/image"
+PER_PAIR = [
+    "/world/camera",
+    *(f"{IMAGE}/{p}" for p in ("rgb", "depth", "validity")),
+    *(f"{IMAGE}/flow/{p}" for p in ("color", "arrows", "tensor", "fb_error")),
+    *(f"{IMAGE}/residual/{p}" for p in ("d_m", "norm", "sigma_z", "p_stat", "vectors", "covariance")),
+    *(f"/stats/{p}" for p in ("inlier_share", "ego_rotation", "ego_translation", "median_d_m", "valid_share")),
+    *(f"/stats/{p}" for p in ("flagged_share", "spread", "row_rotation", "row_translation", "median_residual")),
+    *(f"/stats/stage_ms/{p}" for p in ("flow", "ego", "motion")),
+]
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs") / "room"
+    render_room.write_tum(folder, 7)
+    return folder
+
+
+def motions(memory):
+    return [r for _, r in memory.seen if isinstance(r, Motion)]
+
+
+def test_every_stage_is_seen_once_a_pair_and_in_order(room):
+    memory = Memory()
+    done = vlmm_log.process(room, sinks=[memory])
+    kinds = [type(r) for _, r in memory.seen if not isinstance(r, Skipped)]
+    assert kinds == [FramePair, FlowField, Ego, Motion] * 4
+    assert [at.index for at, r in memory.seen if isinstance(r, Motion)] == [0, 1, 2, 3]
+    assert done.end == memory.end
+    assert (done.end.frames, done.end.pairs, done.end.complete) == (7, 4, True)
+    assert done.summary.skipped["no frame 3 frames later"] == 3
+
+
+def test_results_do_not_depend_on_who_watches_or_on_what_came_before(room, tmp_path):
+    alone, watched, late = Memory(), Memory(), Memory()
+    a = vlmm_log.process(room, sinks=[alone])
+    b = vlmm_log.process(room, sinks=[watched], rrd=tmp_path / "a.rrd")
+    later = vlmm_log.Settings.load(sets=["read.start_s=0.09"])
+    vlmm_log.process(room, sinks=[late], settings=later)
+    assert a.end.input_hash == b.end.input_hash
+    for x, y in zip(motions(alone), motions(watched), strict=True):
+        assert x.d_m.tobytes() == y.d_m.tobytes()
+    assert motions(late)[0].d_m.tobytes() == motions(alone)[3].d_m.tobytes()
+
+
+def test_the_input_hash_sees_one_pixel(room, tmp_path):
+    import shutil
+
+    import cv2
+
+    other = tmp_path / "room"
+    shutil.copytree(room, other)
+    image = sorted((other / "rgb").iterdir())[2]
+    pixels = cv2.imread(str(image))
+    pixels[5, 5, 0] ^= 1
+    cv2.imwrite(str(image), pixels)
+    assert vlmm_log.process(other).end.input_hash != vlmm_log.process(room).end.input_hash
+
+
+def entities(rrd):
+    """Entity -> number of rows that are not static."""
+    from rerun.chunk import RrdReader
+
+    rows = {}
+    for chunk in RrdReader(str(rrd)).store().stream():
+        if not chunk.is_static:
+            rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + chunk.num_rows
+    return rows
+
+
+def properties(rrd):
+    """ "name:field" -> value of the recording's properties."""
+    from rerun.chunk import RrdReader
+
+    told = {}
+    for chunk in RrdReader(str(rrd)).store().stream().filter(content="/__properties/**"):
+        batch = chunk.to_record_batch()
+        for column in batch.schema.names:
+            told[f"{chunk.entity_path.rsplit('/', 1)[-1]}:{column.rsplit(':', 1)[-1]}"] = batch[column].to_pylist()[0][
+                0
+            ]
+    return told
+
+
+@pytest.mark.parametrize("dense", [False, True])
+def test_the_recording_holds_every_entity_for_every_pair(room, tmp_path, dense):
+    import subprocess
+    import sys
+
+    out = tmp_path / "room.rrd"
+    settings = vlmm_log.Settings.load(sets=["log.dense=true"] if dense else [])
+    done = vlmm_log.process(room, rrd=out, settings=settings)
+    assert done.outputs == (out,)
+    rows = entities(out)
+    expected = [*PER_PAIR, *([f"{IMAGE}/residual/tensor"] if dense else [])]
+    assert {path: rows.get(path) for path in expected} == dict.fromkeys(expected, 4)
+    verify = subprocess.run([sys.executable, "-m", "rerun_cli", "rrd", "verify", out], capture_output=True, check=False)
+    assert verify.returncode == 0, verify.stderr
+    assert dense or out.stat().st_size / 4 < 3.5e6  # rendered grain does not compress: the real slice is smaller
+
+
+def test_the_recording_tells_settings_versions_and_input(room, tmp_path):
+    out = tmp_path / "room.rrd"
+    done = vlmm_log.process(room, rrd=out)
+    told = properties(out)
+    assert vlmm_log.Settings.load(sets=()).to_toml() == told["vlmm:settings"]
+    assert told["vlmm_end:input_hash"] == done.end.input_hash
+    assert told["vlmm_end:complete"] is True
+    assert f"vlmm-log {vlmm_log.__version__}" in told["vlmm:versions"]
+    assert "opencv-python-headless" in told["vlmm:versions"]
+
+
+def test_interrupted_runs_leave_a_readable_partial(room, tmp_path):
+    from rerun.chunk import RrdReader
+
+    out = tmp_path / "room.rrd"
+
+    def press_ctrl_c(done, _expected):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    done = vlmm_log.process(room, rrd=out, progress=press_ctrl_c)
+    assert not done.end.complete
+    assert not out.exists()
+    (partial,) = done.outputs
+    assert partial.name == "room.rrd.partial"
+    seen = {c.entity_path for c in RrdReader(str(partial)).stream()}
+    assert f"{IMAGE}/residual/d_m" in seen
+    assert "/stats/median_d_m" in seen
+
+
+def test_a_failing_run_keeps_the_good_output(room, tmp_path):
+    out = tmp_path / "room.rrd"
+    vlmm_log.process(room, rrd=out)
+    before = out.read_bytes()
+
+    class Broken(Memory):
+        def write(self, result, at):
+            if isinstance(result, Motion):
+                raise InputError("no room left")
+
+    with pytest.raises(InputError, match="no room left"):
+        vlmm_log.process(room, rrd=out, force=True, sinks=[Broken()])
+    assert out.read_bytes() == before
+    with pytest.raises(InputError, match="--force"):
+        vlmm_log.process(room, rrd=out)
+
+
+def test_a_log_without_poses_is_processed(room, tmp_path):
+    import shutil
+
+    bare = tmp_path / "bare"
+    shutil.copytree(room, bare)
+    (bare / "groundtruth.txt").unlink()
+    with_poses, without = Memory(), Memory()
+    vlmm_log.process(room, sinks=[with_poses])
+    assert vlmm_log.process(bare, sinks=[without], rrd=tmp_path / "bare.rrd").end.pairs == 4
+    for a, b in zip(motions(with_poses), motions(without), strict=True):
+        assert np.nanmedian(np.abs(a.d_m - b.d_m) / a.d_m) < 0.1
