@@ -76,7 +76,7 @@ class _Grid:
     """Valid matches of a coarse pixel grid, row after row."""
 
     matches: Matches
-    planes: Float32  # (PLANES, N)
+    planes: Float32  # (GATHERED, N)
     rays: Float32  # (2, N) of the first camera
     row: NDArray[np.int32]  # (N,) grid row
     image_rows: NDArray[np.int64]  # (h,) image row of each grid row
@@ -95,7 +95,7 @@ class _Grid:
     def gather(matches: Matches, stride: int) -> _Grid:
         H, W = matches.pair.first.depth.shape
         v, u = np.arange(0, H, stride), np.arange(0, W, stride)
-        planes = np.empty((kernels.PLANES, v.size, u.size), np.float32)
+        planes = np.empty((kernels.GATHERED, v.size, u.size), np.float32)
         status = np.empty((v.size, u.size), np.uint8)
         kernels.gather_grid(stride, *matches.arrays(), matches.camera, matches.model, planes, status)
         j, i = np.nonzero(status == kernels.VALID)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.pipeline.kernels import NX, NY, ZA, ZB, Camera, Model, jit, lateral_of, sheared
+from vlmm_log.pipeline.kernels import Camera, Model, jit, lateral_of, sheared, transform
 from vlmm_log.types import Float32, Float64
 
 f32 = np.float32
@@ -18,16 +18,36 @@ def inverse_covariances(
 ) -> None:
     """Sigma_m^-1 of each match in camera b into out (6, N): xx, xy, xz, yy, yz, zz, 1/m^2.
 
-    g (PLANES, N) gathered matches, rays (2, N) of camera a, row (N) index into rows (h, 12).
+    g (GATHERED, N) matches in the kernels' order of planes, rays (2, N) of camera a, row (N) index into rows (h, 12).
     """
+    last = row[0]
+    T = transform(rows, last)
+    lateral = lateral_of(T, camera, m)
     for i in range(g.shape[1]):
-        T = rows[row[i]]
-        lateral = lateral_of(T, camera, m)
-        _, _, _, sxx, sxy, sxz, syy, syz, szz, _, _, _ = sheared(g, i, rays[0, i], rays[1, i], T, lateral, m)
+        if row[i] != last:
+            last = row[i]
+            T = transform(rows, last)
+            lateral = lateral_of(T, camera, m)
+        nx, ny = g[0, i], g[1, i]
+        _, _, _, sxx, sxy, sxz, syy, syz, szz = sheared(
+            nx,
+            ny,
+            g[2, i],
+            g[3, i],
+            g[4, i],
+            g[5, i],
+            g[6, i],
+            g[7, i],
+            g[8, i],
+            rays[0, i],
+            rays[1, i],
+            T,
+            lateral,
+            m,
+        )
         axx, axy, axz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
         ayy, ayz, azz = sxx * szz - sxz * sxz, sxy * sxz - sxx * syz, sxx * syy - sxy * sxy
         inv = f32(1) / (sxx * axx + sxy * axy + sxz * axz)
-        nx, ny = g[NX, i], g[NY, i]
         # S^T A S
         bxz = axz - nx * axx - ny * axy
         byz = ayz - nx * axy - ny * ayy
@@ -43,9 +63,9 @@ def inverse_covariances(
 def points(g: Float32, rays: Float32, first: Float32, second: Float32) -> None:
     """Matched points (3, N) m of both cameras, each in its own frame."""
     for i in range(g.shape[1]):
-        za, zb = g[ZA, i], g[ZB, i]
+        za, zb = g[2, i], g[3, i]
         first[0, i], first[1, i], first[2, i] = za * rays[0, i], za * rays[1, i], za
-        second[0, i], second[1, i], second[2, i] = zb * g[NX, i], zb * g[NY, i], zb
+        second[0, i], second[1, i], second[2, i] = zb * g[0, i], zb * g[1, i], zb
 
 
 @jit

@@ -47,12 +47,17 @@ class Model(NamedTuple):
     var_translation: np.float32
 
 
-# Planes of a gathered row, one value a pixel.
-NX, NY = 0, 1  # u' as a normalised ray (x / z, y / z) of camera b
-ZA, ZB = 2, 3  # depth at both ends, m
-VA, VB = 4, 5  # variance of the depth at both ends, m^2
-CXX, CXY, CYY = 6, 7, 8  # lateral covariance at b in normalised image units
-PLANES = 9
+# Matches are worked on in blocks of one flat scratch array, plane after plane: constant distances between planes
+# let the compiler see that none overlaps another, and vectorise.
+BLOCK = 512  # pixels
+NX, NY = 0 * BLOCK, 1 * BLOCK  # u' px, then as a normalised ray (x / z, y / z) of camera b
+ZA, ZB = 2 * BLOCK, 3 * BLOCK  # depth at both ends, m
+VA, VB = 4 * BLOCK, 5 * BLOCK  # local depth range m, then variance of the depth m^2, at both ends
+CXX, CXY, CYY = 6 * BLOCK, 7 * BLOCK, 8 * BLOCK  # lateral covariance at b in normalised image units
+GATHERED = 9  # planes of a match; those that score fills follow
+DM, BEHIND = 9 * BLOCK, 10 * BLOCK  # d_M; squared distance of match before prediction, less the limit's, m^2
+MX, MY, MZ = 11 * BLOCK, 12 * BLOCK, 13 * BLOCK  # residual in the world, m
+PLANES = 14
 
 VALID, NO_DEPTH, OUT_OF_VIEW, FB_INCONSISTENT, OCCLUDED = 0, 1, 2, 3, 4  # types.Validity, as numba wants it
 
@@ -119,37 +124,77 @@ def flow_covariance(
 
 
 @jit
-def _depth_at(depth: Float32, x: np.float32, y: np.float32, x0: int, y0: int, band: np.float32) -> Any:
-    """Bilinear over the neighbours within ``band * z`` of the nearest one; NaN where that one is unseen."""
-    right, below = x - f32(x0) >= f32(0.5), y - f32(y0) >= f32(0.5)
-    z00, z10 = depth[y0, x0], depth[y0, x0 + 1]
-    z01, z11 = depth[y0 + 1, x0], depth[y0 + 1, x0 + 1]
-    nearest = (z11 if right else z01) if below else (z10 if right else z00)
+def _depth_at(depth: Float32, W: int, ax: Any, ay: Any, corner: Any, band: Any) -> Any:
+    """Bilinear over the neighbours within ``band * z`` of the nearest one; NaN where that one is unseen.
+
+    ``depth`` is flat; ``corner`` indexes the upper left neighbour, (ax, ay) is the place from there. Unsigned
+    indices: numba need not ask whether they count from the end.
+    """
+    one, down = np.uint64(1), np.uint64(W)
+    z00, z10 = depth[corner], depth[corner + one]
+    z01, z11 = depth[corner + down], depth[corner + down + one]
+    right = ax >= f32(0.5)
+    above, below = z10 if right else z00, z11 if right else z01
+    nearest = below if ay >= f32(0.5) else above
     width = band * nearest
-    ax, ay = x - f32(x0), y - f32(y0)
-    total, weight = f32(0), f32(0)
-    if abs(z00 - nearest) <= width:
-        w = (f32(1) - ax) * (f32(1) - ay)
-        total += w * z00
-        weight += w
-    if abs(z10 - nearest) <= width:
-        w = ax * (f32(1) - ay)
-        total += w * z10
-        weight += w
-    if abs(z01 - nearest) <= width:
-        w = (f32(1) - ax) * ay
-        total += w * z01
-        weight += w
-    if abs(z11 - nearest) <= width:
-        w = ax * ay
-        total += w * z11
-        weight += w
-    return total / weight  # 0 / 0 is NaN where the nearest is
+    bx, by = f32(1) - ax, f32(1) - ay
+    d00, d10, d01, d11 = abs(z00 - nearest), abs(z10 - nearest), abs(z01 - nearest), abs(z11 - nearest)
+    if d00 + d10 + d01 + d11 <= width:  # nearly always
+        return by * (bx * z00 + ax * z10) + ay * (bx * z01 + ax * z11)
+    in00, in10, in01, in11 = d00 <= width, d10 <= width, d01 <= width, d11 <= width
+    w00, w10 = bx * by if in00 else f32(0), ax * by if in10 else f32(0)
+    w01, w11 = bx * ay if in01 else f32(0), ax * ay if in11 else f32(0)
+    total = (w00 * z00 if in00 else f32(0)) + (w10 * z10 if in10 else f32(0))
+    total += (w01 * z01 if in01 else f32(0)) + (w11 * z11 if in11 else f32(0))
+    return total / (w00 + w10 + w01 + w11)  # 0 / 0 is NaN where the nearest is
 
 
 @jit
-def gather_row(
+def _look_up(
     v: int,
+    u0: int,
+    stride: int,
+    depth_a: Float32,
+    depth_b: Float32,
+    range_b: Float32,
+    forward: Float32,
+    fb_error: Float32,
+    m: Model,
+    s: Float32,
+    status: UInt8,
+) -> None:
+    """The gate, and what only the match's place tells: u', both depths, depth range at b. Scalar: it jumps about."""
+    H, W = depth_a.shape
+    right, bottom = f32(W - 1), f32(H - 1)
+    flat_depth, flat_range = depth_b.ravel(), range_b.ravel()
+    for i in range(status.shape[0]):
+        u = u0 + i * stride
+        za = depth_a[v, u]
+        x, y = f32(u) + forward[v, u, 0], f32(v) + forward[v, u, 1]
+        zb, near = f32(1), f32(0)
+        if not za > f32(0):
+            status[i] = NO_DEPTH
+            za = f32(1)
+        elif not (x >= f32(0) and y >= f32(0) and x <= right and y <= bottom):
+            status[i] = OUT_OF_VIEW
+        else:
+            x0, y0 = min(np.int32(x), np.int32(W - 2)), min(np.int32(y), np.int32(H - 2))
+            ax, ay = x - f32(x0), y - f32(y0)
+            zb = _depth_at(flat_depth, W, ax, ay, np.uint64(y0 * W + x0), m.depth_band)
+            below, beside = np.int32(ay >= f32(0.5)), np.int32(ax >= f32(0.5))
+            near = flat_range[np.uint64((y0 + below) * W + x0 + beside)]
+            if not zb > f32(0):
+                status[i] = NO_DEPTH
+                zb = f32(1)
+            else:
+                status[i] = VALID if fb_error[v, u] < m.fb_px else FB_INCONSISTENT
+        s[NX + i], s[NY + i], s[ZA + i], s[ZB + i], s[VB + i] = x, y, za, zb, near
+
+
+@jit
+def gather(
+    v: int,
+    u0: int,
     stride: int,
     depth_a: Float32,
     depth_b: Float32,
@@ -160,62 +205,55 @@ def gather_row(
     flow_cov: Float32,
     camera: Camera,
     m: Model,
-    out: Float32,
+    s: Float32,
     status: UInt8,
 ) -> None:
-    """Gate and look up one image row at every ``stride``-th column: PLANES rows of ``out``, why-not into ``status``.
+    """Matches of pixels u0, u0 + stride, ... of image row v: GATHERED planes into ``s``, why-not into ``status`` (n,).
 
-    Where a pixel has depth at a and its match is in view, the planes are filled even if the gate fails.
+    Where a pixel has depth at both ends and its match is in view, the planes are right even if the gate fails.
     """
-    H, W = depth_a.shape
-    right, bottom = f32(W - 1), f32(H - 1)
+    _look_up(v, u0, stride, depth_a, depth_b, range_b, forward, fb_error, m, s, status)
     inv_fx, inv_fy = f32(1) / camera.fx, f32(1) / camera.fy
-    for i in range(out.shape[1]):
-        u = i * stride
-        za = depth_a[v, u]
-        x, y = f32(u) + forward[v, u, 0], f32(v) + forward[v, u, 1]
-        # Everything below is finite for the SIMD pass, whatever the status.
-        for plane in range(PLANES):
-            out[plane, i] = f32(1)
-        if not za > f32(0):
-            status[i] = NO_DEPTH
-            continue
-        if not (x >= f32(0) and y >= f32(0) and x <= right and y <= bottom):
-            status[i] = OUT_OF_VIEW
-            continue
-        x0, y0 = min(np.int32(x), W - 2), min(np.int32(y), H - 2)
-        zb = _depth_at(depth_b, x, y, x0, y0, m.depth_band)
-        if not zb > f32(0):
-            status[i] = NO_DEPTH
-            continue
-        fb = fb_error[v, u]
-        status[i] = VALID if fb < m.fb_px else FB_INCONSISTENT
-        out[NX, i] = (x - camera.cx) * inv_fx
-        out[NY, i] = (y - camera.cy) * inv_fy
-        out[ZA, i] = za
-        out[ZB, i] = zb
-        da, db = za - m.z_z0, zb - m.z_z0
+    ixx, ixy, iyy = inv_fx * inv_fx, inv_fx * inv_fy, inv_fy * inv_fy
+    for i in range(status.shape[0]):
+        u = u0 + i * stride
+        s[NX + i] = (s[NX + i] - camera.cx) * inv_fx
+        s[NY + i] = (s[NY + i] - camera.cy) * inv_fy
+        da, db = s[ZA + i] - m.z_z0, s[ZB + i] - m.z_z0
         sa, ea = m.z_a + m.z_b * da * da, m.edge_inflation * range_a[v, u]
-        yb, xb = np.int32(y + f32(0.5)), np.int32(x + f32(0.5))
-        sb, eb = m.z_a + m.z_b * db * db, m.edge_inflation * range_b[yb, xb]
-        out[VA, i] = sa * sa + ea * ea
-        out[VB, i] = sb * sb + eb * eb
+        sb, eb = m.z_a + m.z_b * db * db, m.edge_inflation * s[VB + i]
+        s[VA + i] = sa * sa + ea * ea
+        s[VB + i] = sb * sb + eb * eb
         # lateral noise, round trip, displacement: isotropic; then what the image's texture leaves open
-        moved2 = forward[v, u, 0] * forward[v, u, 0] + forward[v, u, 1] * forward[v, u, 1]
-        same = m.var_px_second + m.fb_variance * fb * fb + m.var_displacement * moved2
-        out[CXX, i] = (same + flow_cov[0, v, u]) * inv_fx * inv_fx
-        out[CXY, i] = flow_cov[1, v, u] * inv_fx * inv_fy
-        out[CYY, i] = (same + flow_cov[2, v, u]) * inv_fy * inv_fy
+        wx, wy, fb = forward[v, u, 0], forward[v, u, 1], fb_error[v, u]
+        same = m.var_px_second + m.fb_variance * fb * fb + m.var_displacement * (wx * wx + wy * wy)
+        s[CXX + i] = (same + flow_cov[0, v, u]) * ixx
+        s[CXY + i] = flow_cov[1, v, u] * ixy
+        s[CYY + i] = (same + flow_cov[2, v, u]) * iyy
 
 
 @jit
-def sheared(g: Float32, i: int, nax: Any, nay: Any, T: Float32, lateral: Any, m: Model) -> Any:
-    """Residual (3) and Sigma_m (6) of one gathered match in the sheared frame of camera b, and the point p.
+def sheared(
+    nx: Any,
+    ny: Any,
+    za: Any,
+    zb: Any,
+    va: Any,
+    vb: Any,
+    cxx: Any,
+    cxy: Any,
+    cyy: Any,
+    nax: Any,
+    nay: Any,
+    T: Any,
+    lateral: Any,
+    m: Model,
+) -> Any:
+    """Residual (3) and Sigma_m (6) of one gathered match in the sheared frame of camera b, and its predicted depth.
 
     T (12) is R row by row, then t: the first camera in the second. ``lateral`` (6) is
     sigma_px^2 (r1 r1^T / fx^2 + r2 r2^T / fy^2) of endpoint a, r1 and r2 the first columns of R.
     """
-    nx, ny, za, zb = g[NX, i], g[NY, i], g[ZA, i], g[ZB, i]
     # d p / d z_a: the ray of u, turned into camera b
     wx = T[0] * nax + T[1] * nay + T[2]
     wy = T[3] * nax + T[4] * nay + T[5]
@@ -226,19 +264,18 @@ def sheared(g: Float32, i: int, nax: Any, nay: Any, T: Float32, lateral: Any, m:
     wy -= ny * wz
     lxx, lxy, lxz, lyy, lyz, lzz = lateral
     z2 = za * za
-    va = g[VA, i]
     # S L S^T with S = [[1, 0, -nx], [0, 1, -ny], [0, 0, 1]]
     exz, eyz = lxz - nx * lzz, lyz - ny * lzz
     exx = lxx - nx * lxz - nx * exz
     exy = lxy - ny * lxz - nx * eyz
     eyy = lyy - ny * lyz - ny * eyz
     zb2 = zb * zb
-    sxx = z2 * exx + va * wx * wx + zb2 * g[CXX, i]
-    sxy = z2 * exy + va * wx * wy + zb2 * g[CXY, i]
+    sxx = z2 * exx + va * wx * wx + zb2 * cxx
+    sxy = z2 * exy + va * wx * wy + zb2 * cxy
     sxz = z2 * exz + va * wx * wz
-    syy = z2 * eyy + va * wy * wy + zb2 * g[CYY, i]
+    syy = z2 * eyy + va * wy * wy + zb2 * cyy
     syz = z2 * eyz + va * wy * wz
-    szz = z2 * lzz + va * wz * wz + g[VB, i]
+    szz = z2 * lzz + va * wz * wz + vb
     # Uncertain pose (ego off): var_t I + var_r (|p|^2 I - p p^T), sheared
     iso = m.var_translation + m.var_rotation * (px * px + py * py + pz * pz)
     sxx += iso * (f32(1) + nx * nx) - m.var_rotation * rx * rx
@@ -247,11 +284,18 @@ def sheared(g: Float32, i: int, nax: Any, nay: Any, T: Float32, lateral: Any, m:
     syy += iso * (f32(1) + ny * ny) - m.var_rotation * ry * ry
     syz += -iso * ny + m.var_rotation * ry * pz
     szz += iso - m.var_rotation * pz * pz
-    return rx, ry, rz, sxx, sxy, sxz, syy, syz, szz, px, py, pz
+    return rx, ry, rz, sxx, sxy, sxz, syy, syz, szz
 
 
 @jit
-def lateral_of(T: Float32, camera: Camera, m: Model) -> Any:
+def transform(rows: Float32, v: int) -> Any:
+    """One row's transform as twelve scalars, which the compiler keeps in registers."""
+    T = rows[v]
+    return T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9], T[10], T[11]
+
+
+@jit
+def lateral_of(T: Any, camera: Camera, m: Model) -> Any:
     """sigma_px^2 (r1 r1^T / fx^2 + r2 r2^T / fy^2): endpoint a's lateral noise at one metre, in camera b."""
     a, b = m.var_px_first / (camera.fx * camera.fx), m.var_px_first / (camera.fy * camera.fy)
     return (
@@ -288,60 +332,98 @@ def measure(
     ``rows`` (H, 12) is, for each row of the first image, the first camera in the second (R, then t).
     """
     H, W = depth_a.shape
-    g = np.empty((PLANES, W), np.float32)
-    nax = np.empty(W, np.float32)
-    for u in range(W):
-        nax[u] = (f32(u) - camera.cx) / camera.fx
-    nan = f32(np.nan)
-    per_step = f32((P_TABLE_SIZE - 1) / P_TABLE_MAX)
-    w00, w01, w02 = R_world_b[0, 0], R_world_b[0, 1], R_world_b[0, 2]
-    w10, w11, w12 = R_world_b[1, 0], R_world_b[1, 1], R_world_b[1, 2]
-    w20, w21, w22 = R_world_b[2, 0], R_world_b[2, 1], R_world_b[2, 2]
-    behind = np.empty(W, np.float32)
+    s = np.empty(PLANES * BLOCK, np.float32)
+    world = (
+        R_world_b[0, 0],
+        R_world_b[0, 1],
+        R_world_b[0, 2],
+        R_world_b[1, 0],
+        R_world_b[1, 1],
+        R_world_b[1, 2],
+        R_world_b[2, 0],
+        R_world_b[2, 1],
+        R_world_b[2, 2],
+    )
+    hide = m.occlusion_sigma > f32(0)
     for v in range(H):
-        status = validity[v]
-        gather_row(v, 1, depth_a, depth_b, range_a, range_b, forward, fb_error, flow_cov, camera, m, g, status)
-        T = rows[v]
-        nay = (f32(v) - camera.cy) / camera.fy
+        T = transform(rows, v)
         lateral = lateral_of(T, camera, m)
-        out_x, out_y, out_z, out_d = residual[0, v], residual[1, v], residual[2, v], d_m[v]
-        for u in range(W):
-            rx, ry, rz, sxx, sxy, sxz, syy, syz, szz, _, _, _ = sheared(g, u, nax[u], nay, T, lateral, m)
-            # adjugate of Sigma
-            axx, axy, axz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
-            ayy, ayz, azz = sxx * szz - sxz * sxz, sxy * sxz - sxx * syz, sxx * syy - sxy * sxy
-            det = sxx * axx + sxy * axy + sxz * axz
-            quad = (
-                rx * (axx * rx + f32(2) * (axy * ry + axz * rz)) + ry * (ayy * ry + f32(2) * ayz * rz) + azz * rz * rz
-            )
-            out_d[u] = math.sqrt(max(quad / det, f32(0)))
-            # out of the shear, then into the world
-            rx += g[NX, u] * rz
-            ry += g[NY, u] * rz
-            out_x[u] = w00 * rx + w01 * ry + w02 * rz
-            out_y[u] = w10 * rx + w11 * ry + w12 * rz
-            out_z[u] = w20 * rx + w21 * ry + w22 * rz
-            # how far p lies behind the measured surface, beyond what sigma and the least distance allow
-            behind[u] = -rz - max(m.occlusion_sigma * math.sqrt(szz), m.occlusion_m)
-        hide = m.occlusion_sigma > f32(0)
-        out_p = p_stat[v]
-        for u in range(W):
-            if hide and behind[u] > f32(0) and (status[u] == VALID or status[u] == FB_INCONSISTENT):
-                status[u] = OCCLUDED
-            if status[u] != VALID:
-                out_d[u] = nan
-                out_x[u] = nan
-                out_y[u] = nan
-                out_z[u] = nan
-                out_p[u] = nan
-                continue
-            at = out_d[u] * out_d[u] * per_step
-            if at < f32(P_TABLE_SIZE - 1):
-                k = np.int32(at)
-                share = at - f32(k)
-                out_p[u] = p_table[k] + share * (p_table[k + 1] - p_table[k])
-            else:
-                out_p[u] = f32(0)
+        for u0 in range(0, W, BLOCK):
+            n = min(BLOCK, W - u0)
+            status = validity[v, u0 : u0 + n]
+            gather(v, u0, 1, depth_a, depth_b, range_a, range_b, forward, fb_error, flow_cov, camera, m, s, status)
+            score(s, n, u0, v, T, lateral, world, camera, m)
+            if hide:
+                for i in range(n):
+                    if s[BEHIND + i] > f32(0) and (status[i] == VALID or status[i] == FB_INCONSISTENT):
+                        status[i] = OCCLUDED
+            # one array a loop: each is then free to vectorise
+            _masked(s, DM, status, d_m[v, u0 : u0 + n])
+            _masked(s, MX, status, residual[0, v, u0 : u0 + n])
+            _masked(s, MY, status, residual[1, v, u0 : u0 + n])
+            _masked(s, MZ, status, residual[2, v, u0 : u0 + n])
+            _tails(s, status, p_table, p_stat[v, u0 : u0 + n])
+
+
+@jit
+def _tails(s: Float32, status: UInt8, p_table: Float32, out: Float32) -> None:
+    """p_stat of a block's d_M by linear look-up; NaN where the pixel is not valid."""
+    per_step, last = f32((P_TABLE_SIZE - 1) / P_TABLE_MAX), f32(P_TABLE_SIZE - 2)
+    for i in range(status.shape[0]):
+        at = s[DM + i] * s[DM + i] * per_step
+        at = at if at < last else last  # NaN too
+        k = np.uint32(at)
+        low = p_table[k]
+        out[i] = low + (at - f32(k)) * (p_table[k + np.uint32(1)] - low) if status[i] == VALID else f32(np.nan)
+
+
+@jit
+def _masked(s: Float32, plane: int, status: UInt8, out: Float32) -> None:
+    """One scored plane, NaN where the pixel is not valid."""
+    for i in range(status.shape[0]):
+        out[i] = s[plane + i] if status[i] == VALID else f32(np.nan)
+
+
+@jit
+def score(s: Float32, n: int, u0: int, v: int, T: Any, lateral: Any, world: Any, camera: Camera, m: Model) -> None:
+    """From a block's gathered planes its scored ones: d_M, residual in the world, distance behind."""
+    nay = (f32(v) - camera.cy) / camera.fy
+    inv_fx = f32(1) / camera.fx
+    sigmas2, least2 = m.occlusion_sigma * m.occlusion_sigma, m.occlusion_m * m.occlusion_m
+    for i in range(n):
+        nax = (f32(u0 + i) - camera.cx) * inv_fx
+        nx, ny = s[NX + i], s[NY + i]
+        rx, ry, rz, sxx, sxy, sxz, syy, syz, szz = sheared(
+            nx,
+            ny,
+            s[ZA + i],
+            s[ZB + i],
+            s[VA + i],
+            s[VB + i],
+            s[CXX + i],
+            s[CXY + i],
+            s[CYY + i],
+            nax,
+            nay,
+            T,
+            lateral,
+            m,
+        )
+        # adjugate of Sigma
+        axx, axy, axz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
+        ayy, ayz, azz = sxx * szz - sxz * sxz, sxy * sxz - sxx * syz, sxx * syy - sxy * sxy
+        det = sxx * axx + sxy * axy + sxz * axz
+        quad = rx * (axx * rx + f32(2) * (axy * ry + axz * rz))
+        quad += ry * (ayy * ry + f32(2) * ayz * rz) + azz * rz * rz
+        s[DM + i] = math.sqrt(max(quad / det, f32(0)))
+        nearer = max(-rz, f32(0))  # the match lies this far before its prediction
+        s[BEHIND + i] = nearer * nearer - max(sigmas2 * szz, least2)
+        # out of the shear, then into the world
+        rx += nx * rz
+        ry += ny * rz
+        s[MX + i] = world[0] * rx + world[1] * ry + world[2] * rz
+        s[MY + i] = world[3] * rx + world[4] * ry + world[5] * rz
+        s[MZ + i] = world[6] * rx + world[7] * ry + world[8] * rz
 
 
 @jit
@@ -364,41 +446,82 @@ def sigma_m(
 ) -> None:
     """Sigma_m in the world frame and its standard deviation along b's optical axis, every ``stride`` pixels."""
     h, w = sigma_z.shape
-    g = np.empty((PLANES, w), np.float32)
-    status = np.empty(w, np.uint8)
+    s = np.empty(PLANES * BLOCK, np.float32)
+    status = np.empty(BLOCK, np.uint8)
     S = np.empty((3, 3), np.float32)
+    inv_fx = f32(1) / camera.fx
     for j in range(h):
         v = j * stride
-        gather_row(v, stride, depth_a, depth_b, range_a, range_b, forward, fb_error, flow_cov, camera, m, g, status)
-        T = rows[v]
-        nay = (f32(v) - camera.cy) / camera.fy
+        T = transform(rows, v)
         lateral = lateral_of(T, camera, m)
-        for i in range(w):
-            if validity[v, i * stride] != VALID:
-                sigma_z[j, i] = f32(np.nan)
-                upper[:, j, i] = f32(np.nan)
-                continue
-            nax = (f32(i * stride) - camera.cx) / camera.fx
-            _, _, _, sxx, sxy, sxz, syy, syz, szz, _, _, _ = sheared(g, i, nax, nay, T, lateral, m)
-            sigma_z[j, i] = math.sqrt(szz)
-            nx, ny = g[NX, i], g[NY, i]
-            # undo the shear: S^-1 Sigma S^-T
-            S[0, 2] = sxz + nx * szz
-            S[1, 2] = syz + ny * szz
-            S[0, 0] = sxx + nx * sxz + nx * S[0, 2]
-            S[0, 1] = sxy + ny * sxz + nx * S[1, 2]
-            S[1, 1] = syy + ny * syz + ny * S[1, 2]
-            S[2, 2] = szz
-            S[1, 0], S[2, 0], S[2, 1] = S[0, 1], S[0, 2], S[1, 2]
-            k = 0
-            for a in range(3):
-                for b in range(a, 3):
-                    total = f32(0)
-                    for c in range(3):
-                        for d in range(3):
-                            total += R_world_b[a, c] * S[c, d] * R_world_b[b, d]
-                    upper[k, j, i] = total
-                    k += 1
+        nay = (f32(v) - camera.cy) / camera.fy
+        for i0 in range(0, w, BLOCK):
+            n = min(BLOCK, w - i0)
+            u0 = i0 * stride
+            gather(
+                v,
+                u0,
+                stride,
+                depth_a,
+                depth_b,
+                range_a,
+                range_b,
+                forward,
+                fb_error,
+                flow_cov,
+                camera,
+                m,
+                s,
+                status[:n],
+            )
+            for i in range(n):
+                u = u0 + i * stride
+                if validity[v, u] != VALID:
+                    sigma_z[j, i0 + i] = f32(np.nan)
+                    upper[:, j, i0 + i] = f32(np.nan)
+                    continue
+                nx, ny = s[NX + i], s[NY + i]
+                nax = (f32(u) - camera.cx) * inv_fx
+                _, _, _, sxx, sxy, sxz, syy, syz, szz = sheared(
+                    nx,
+                    ny,
+                    s[ZA + i],
+                    s[ZB + i],
+                    s[VA + i],
+                    s[VB + i],
+                    s[CXX + i],
+                    s[CXY + i],
+                    s[CYY + i],
+                    nax,
+                    nay,
+                    T,
+                    lateral,
+                    m,
+                )
+                sigma_z[j, i0 + i] = math.sqrt(szz)
+                # undo the shear: S^-1 Sigma S^-T
+                S[0, 2] = sxz + nx * szz
+                S[1, 2] = syz + ny * szz
+                S[0, 0] = sxx + nx * sxz + nx * S[0, 2]
+                S[0, 1] = sxy + ny * sxz + nx * S[1, 2]
+                S[1, 1] = syy + ny * syz + ny * S[1, 2]
+                S[2, 2] = szz
+                S[1, 0], S[2, 0], S[2, 1] = S[0, 1], S[0, 2], S[1, 2]
+                _turned(S, R_world_b, upper[:, j, i0 + i])
+
+
+@jit
+def _turned(S: Float32, R: Float32, upper: Float32) -> None:
+    """The upper triangle of R S R^T: xx, xy, xz, yy, yz, zz."""
+    k = 0
+    for a in range(3):
+        for b in range(a, 3):
+            total = f32(0)
+            for c in range(3):
+                for d in range(3):
+                    total += R[a, c] * S[c, d] * R[b, d]
+            upper[k] = total
+            k += 1
 
 
 @jit
@@ -416,20 +539,28 @@ def gather_grid(
     planes: Float32,
     status: UInt8,
 ) -> None:
-    """The gathered planes (PLANES, h, w) and status (h, w) of every ``stride``-th row and column."""
-    for j in range(status.shape[0]):
-        gather_row(
-            j * stride,
-            stride,
-            depth_a,
-            depth_b,
-            range_a,
-            range_b,
-            forward,
-            fb_error,
-            flow_cov,
-            camera,
-            m,
-            planes[:, j],
-            status[j],
-        )
+    """The gathered planes (GATHERED, h, w) and status (h, w) of every ``stride``-th row and column."""
+    h, w = status.shape
+    s = np.empty(PLANES * BLOCK, np.float32)
+    for j in range(h):
+        for i0 in range(0, w, BLOCK):
+            n = min(BLOCK, w - i0)
+            gather(
+                j * stride,
+                i0 * stride,
+                stride,
+                depth_a,
+                depth_b,
+                range_a,
+                range_b,
+                forward,
+                fb_error,
+                flow_cov,
+                camera,
+                m,
+                s,
+                status[j, i0 : i0 + n],
+            )
+            for plane in range(GATHERED):
+                for i in range(n):
+                    planes[plane, j, i0 + i] = s[plane * BLOCK + i]

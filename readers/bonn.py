@@ -39,7 +39,7 @@ class Bonn:
 
     def open(self, path: Path, s: ReadSettings) -> Log:
         """The log of a folder. Raises InputError where lists are missing."""
-        return open_folder(path, s, BONN, world=T_ROS, marker=_rigid(T_M))
+        return open_folder(path, s, BONN, world=T_ROS, marker=T_ROS @ _rigid(T_M))
 
 
 def _rigid(T: Float64) -> Float64:

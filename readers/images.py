@@ -29,7 +29,7 @@ def decode_depth(data: bytes, units_per_meter: float, min_m: float, max_m: float
         raise ImageError(f"depth image is {raw.dtype.itemsize * 8}-bit; 16-bit PNG is expected")
     depth = raw.astype(np.float32)
     depth *= np.float32(1.0 / units_per_meter)
-    depth[(raw == 0) | (depth < min_m) | (depth > max_m)] = np.nan
+    depth[(raw == 0) | (raw < min_m * units_per_meter) | (raw > max_m * units_per_meter)] = np.nan
     return depth
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,9 +50,9 @@ def from_text(text: str) -> Intrinsics:
         except ValueError as e:
             raise InputError(f"--intrinsics {text}: four numbers are expected, fx,fy,cx,cy in px") from e
         return _checked(Intrinsics(fx, fy, cx, cy, source="--intrinsics"), f"--intrinsics {text}")
-    path = Path(text)
-    if path.is_file():
-        return from_file(path)
+    with suppress(OSError):  # a text too long to be a path
+        if Path(text).is_file():
+            return from_file(Path(text))
     raise InputError(f"--intrinsics {text}: neither 'fx,fy,cx,cy' in px nor a camera.txt")
 
 
@@ -70,7 +72,7 @@ def from_file(path: Path) -> Intrinsics:
             continue
         try:
             name, value = words
-            values[name.lower()] = float(value)
+            values[name.lower()] = _finite(value)
         except ValueError as e:
             raise InputError(f"{path}:{number}: write a name and a number, for example 'fx 525.0'") from e
     missing = [name for name in ("fx", "fy", "cx", "cy") if name not in values]
@@ -87,6 +89,13 @@ def from_file(path: Path) -> Intrinsics:
         path.name,
     )
     return _checked(camera, str(path))
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value
 
 
 def _checked(camera: Intrinsics, where: str) -> Intrinsics:

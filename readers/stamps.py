@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 
 import numpy as np
+
+LATEST_NS = 2**62  # a stamp and a limit add up within 64 bits
 
 
 def seconds_to_ns(text: str) -> int:
     """Nanoseconds of decimal seconds, exact. Raises ValueError where the text is no finite decimal number."""
     try:
-        return int((Decimal(text) * 1_000_000_000).to_integral_value())
-    except (InvalidOperation, OverflowError, ValueError) as e:
+        ns = int((Decimal(text) * 1_000_000_000).to_integral_value())
+    except (ArithmeticError, ValueError) as e:  # decimal's errors are arithmetic ones
         raise ValueError(f"{text!r} is no time in seconds") from e
+    if abs(ns) > LATEST_NS:
+        raise ValueError(f"{text!r} is beyond what nanoseconds in 64 bits hold")
+    return ns
+
+
+def limit_ns(seconds: float) -> int:
+    """Nanoseconds of a limit, which may be infinite: at most as many as stamps can differ by."""
+    return round(min(seconds, 4e9) * 1e9)
 
 
 def associate(a: Sequence[int], b: Sequence[int], tolerance_ns: int) -> list[tuple[int, int]]:

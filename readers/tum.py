@@ -14,7 +14,7 @@ from vlmm_log.readers import intrinsics
 from vlmm_log.readers.images import ImageError, decode_depth, decode_rgb, media_type
 from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.readers.poses import Trajectory, trajectory, usable_pose
-from vlmm_log.readers.stamps import associate, seconds_to_ns
+from vlmm_log.readers.stamps import LATEST_NS, associate, limit_ns, seconds_to_ns
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import EncodedImage, Float64, Frame, InputError, Skipped
 
@@ -121,7 +121,7 @@ class TumLog:
             self._check_size(rgb.shape, depth.shape)
         except ImageError as e:
             return Skipped(depth_row.stamp_ns, f"{rgb_row.rest}, {depth_row.rest}", str(e), i)
-        T = None if self.poses is None else self.poses.at(depth_row.stamp_ns, int(self.s.pose_gap_s * 1e9))
+        T = None if self.poses is None else self.poses.at(depth_row.stamp_ns, limit_ns(self.s.pose_gap_s))
         T = None if T is None else self.world @ T @ self.marker
         rgb_media, depth_media = media_type(rgb_data), media_type(depth_data)
         return Frame(
@@ -136,13 +136,15 @@ class TumLog:
         )
 
     def _read(self, row: _Row) -> bytes:
-        path = (self.folder / row.rest).resolve()
-        if not path.is_relative_to(self.folder.resolve()):
-            raise ImageError("listed file lies outside the folder")
         try:
+            path = (self.folder / row.rest).resolve()
+            if not path.is_relative_to(self.folder.resolve()):
+                raise ImageError("listed file lies outside the folder")
             return path.read_bytes()
-        except OSError as e:
-            raise ImageError("listed file is missing" if isinstance(e, FileNotFoundError) else f"{e.strerror}") from e
+        except FileNotFoundError as e:
+            raise ImageError("listed file is missing") from e
+        except (OSError, ValueError, RuntimeError) as e:  # a directory, a NUL byte, a loop of links
+            raise ImageError("listed file cannot be read") from e
 
     def _check_size(self, rgb: tuple[int, ...], depth: tuple[int, ...]) -> None:
         if rgb[:2] != depth[:2]:
@@ -171,7 +173,7 @@ def open_folder(
     rgb, depth = _image_list(path / "rgb.txt", left_out), _image_list(path / "depth.txt", left_out)
     camera = _camera(path, s, known)
     units = s.depth_units_per_meter or camera.depth_scale or UNITS_PER_METER
-    tolerance_ns = int(s.association_s * 1e9)
+    tolerance_ns = limit_ns(s.association_s)
     pairs = associate([r.stamp_ns for r in rgb], [r.stamp_ns for r in depth], tolerance_ns)
     if not pairs:
         raise InputError(
@@ -187,7 +189,7 @@ def open_folder(
     notes = [f"intrinsics {camera.fx:g}, {camera.fy:g}, {camera.cx:g}, {camera.cy:g} px from {camera.source}"]
     notes.append(f"depth {units:g} per metre")
     notes.append("no poses" if poses is None else f"{poses.stamps_ns.size} poses from groundtruth.txt")
-    name = path.resolve().name
+    name = path.resolve().name.encode("utf-8", "backslashreplace").decode()
     return TumLog(name, path, camera, units, s, rgb, depth, pairs, poses, world, marker, left_out, notes)
 
 
@@ -218,6 +220,7 @@ def _rows(path: Path, left_out: list[Skipped]) -> list[_Row]:
     except (OSError, UnicodeDecodeError) as e:
         raise InputError(f"{path}: cannot be read: {e}") from e
     rows: list[_Row] = []
+    latest = -LATEST_NS
     for number, line in enumerate(lines, 1):
         words = line.strip().split(maxsplit=1)
         if not words or words[0].startswith("#"):
@@ -228,8 +231,9 @@ def _rows(path: Path, left_out: list[Skipped]) -> list[_Row]:
         except (ValueError, IndexError):
             left_out.append(Skipped(rows[-1].stamp_ns if rows else 0, where, "row is not 'seconds value ...'"))
             continue
-        if rows and row.stamp_ns < rows[-1].stamp_ns:
+        if row.stamp_ns < latest:
             left_out.append(Skipped(row.stamp_ns, where, "stamp out of order; the row was sorted in"))
+        latest = max(latest, row.stamp_ns)
         rows.append(row)
     rows.sort(key=lambda r: r.stamp_ns)
     unique = [row for k, row in enumerate(rows) if k == 0 or row.stamp_ns != rows[k - 1].stamp_ns]

@@ -10,5 +10,5 @@ settings.load_profile("unhurried")
 
 @pytest.fixture
 def tum_folder(tmp_path):
-    """``tum_folder(name="log", **options)`` writes a log below tmp_path, see tum_folder.py, and gives its path."""
+    """``tum_folder(name="log", **options)`` writes a log below tmp_path and gives its path."""
     return lambda name="log", **options: write_tum_folder(tmp_path / name, **options)

@@ -130,7 +130,7 @@ def test_off_trusts_the_poses_and_widens_sigma(noisy):
     np.testing.assert_allclose(ego.T_second_first, noisy.pair.relative_pose())
     assert ego.reliable
     wide, narrow = measure_motion(off, ego), measure_motion(noisy, ego)
-    assert wide.static_d_m2_median() < 0.5 * narrow.static_d_m2_median()
+    assert wide.static_d_m2_median < 0.5 * narrow.static_d_m2_median
 
 
 def test_covariance_of_the_fit_matches_its_scatter():

@@ -91,7 +91,7 @@ def test_poses_are_interpolated_linearly_and_by_slerp(share, seed):
     stamp = round(share * STEP)
     T = trajectory([0, STEP], list(table)).at(stamp, STEP)
     np.testing.assert_allclose(T[:3, :3], Slerp([0, STEP], rotations)(stamp).as_matrix(), atol=1e-7)
-    np.testing.assert_allclose(T[:3, 3], positions[0] + stamp / STEP * (positions[1] - positions[0]), atol=1e-12)
+    np.testing.assert_allclose(T[:3, 3], positions[0] + stamp / STEP * np.diff(positions, axis=0)[0], atol=1e-9)
 
 
 def test_the_pose_is_of_the_depth_stamp_and_never_extrapolated(tum_folder):
@@ -138,7 +138,7 @@ def test_a_bad_pose_row_is_told_and_the_rest_is_read(tum_folder, row, reason):
     gt = poses((-0.05, 0.0, 0.05), [good, row, good])
     frames, left_out = read(tum_folder(groundtruth=gt, frames=1))
     assert [(reason in s.reason, s.stamp_ns) for s in left_out] == [(True, ORIGIN_NS)]
-    np.testing.assert_allclose(frames[0].T_world_cam, [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+    np.testing.assert_allclose(frames[0].T_world_cam[:3], [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3]])
 
 
 # ---- lists
@@ -227,13 +227,15 @@ def test_a_frame_holds_what_the_files_hold(tum_folder):
         first.depth[0, 0] = 1
 
 
-def test_depth_zero_or_out_of_range_is_unseen(tum_folder):
+def test_depth_zero_or_out_of_range_is_unseen(tum_folder, tmp_path):
     depth = np.full((48, 64), 5000, np.uint16)
     depth[0, :6] = [0, 499, 501, 20000, 20001, 65535]
     frames, _ = read(tum_folder(frames=1, files={"depth/0.png": png(depth)}), "read.depth_max_m=4")
     seen = np.isfinite(frames[0].depth)
     assert seen[0, :6].tolist() == [False, False, True, True, False, False]
     assert seen.sum() == 48 * 64 - 4
+    frames, _ = read(tmp_path / "log", "read.depth_min_m=0", "read.depth_max_m=99")
+    assert np.isfinite(frames[0].depth).sum() == 48 * 64 - 1
 
 
 @pytest.mark.parametrize(
@@ -368,7 +370,11 @@ def test_intrinsics_that_cannot_be_used(tum_folder, camera, told):
     assert told in cannot_open(tum_folder(camera=camera))
 
 
-@pytest.mark.parametrize("text", ["1,2,3", "1,2,3,x", "nowhere/camera.txt", "0,60,1,1", "60,60,inf,1", "x" * 300])
+@pytest.mark.parametrize(
+    "text",
+    ["1,2,3", "1,2,3,x", "nowhere/camera.txt", "0,60,1,1", "60,60,inf,1", "x" * 300],
+    ids=lambda t: t[:20],
+)
 def test_given_intrinsics_that_cannot_be_used(tum_folder, text):
     with pytest.raises(InputError, match="--intrinsics"):
         opened(tum_folder(), f"read.intrinsics={text}")

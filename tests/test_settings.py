@@ -67,7 +67,7 @@ def test_every_setting_says_what_it_is_and_its_default_is_allowed():
 @pytest.mark.parametrize("profile", PROFILES)
 def test_toml_there_and_back(profile, tmp_path):
     path = tmp_path / "s.toml"
-    s = Settings.load(profile, sets=["seed=7", "keyframes.gap='0.1s'", "log.dense=true", "ego.row_prior_m=1e-9"])
+    s = Settings.load(profile, sets=["seed=7", "keyframes.gap=0.1s", "log.dense=true", "noise.alpha=1e-9"])
     for each in (PROFILES[profile], s):
         path.write_text(each.to_toml(), "utf-8")
         assert Settings.load(toml=path) == each
@@ -149,6 +149,7 @@ def test_an_error_is_one_line_whatever_was_typed(text):
         ("keyframes.gap='0.1s'", "0.1s"),
         (" keyframes.gap = 6 ", 6),
         ("flow.estimator=raft", "raft"),
+        (" flow.estimator = raft ", "raft"),
         ("read.intrinsics=525,525,320,240", "525,525,320,240"),
         ("read.intrinsics=a=b", "a=b"),
         ("flow.weights=C:\\w\\raft.pth", "C:\\w\\raft.pth"),

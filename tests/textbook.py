@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import chi2
 
 from vlmm_log import se3
 from vlmm_log.pipeline.matches import Matches
@@ -10,7 +11,7 @@ from vlmm_log.types import Ego, Validity
 
 
 def motion(matches: Matches, ego: Ego) -> dict[str, np.ndarray]:
-    """residual (3, H, W) m in the world, sigma (H, W, 3, 3) m^2, d_m, p_stat-free; gate as validity before occlusion.
+    """residual (3, H, W) m in the world, sigma (H, W, 3, 3) m^2, d_m, p_stat; gate as validity before occlusion.
 
     Everything is computed for every pixel; where the gate fails the values mean nothing.
     """
@@ -68,7 +69,15 @@ def motion(matches: Matches, ego: Ego) -> dict[str, np.ndarray]:
     seen = np.isin(gate, (Validity.VALID, Validity.FB_INCONSISTENT))
     if m.occlusion_sigma > 0:
         gate[seen & (behind > limit)] = Validity.OCCLUDED
-    return {"residual": np.moveaxis(residual, -1, 0), "sigma": sigma, "d_m": np.sqrt(d2), "gate": gate, "along": along}
+    p_stat = chi2.sf(d2, 3)
+    return {
+        "p_stat": p_stat,
+        "residual": np.moveaxis(residual, -1, 0),
+        "sigma": sigma,
+        "d_m": np.sqrt(d2),
+        "gate": gate,
+        "along": along,
+    }
 
 
 def back_project(K: np.ndarray, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:

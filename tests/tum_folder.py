@@ -19,7 +19,8 @@ def png(image):
 
 
 def rows(stamps_ns, values):
-    return "# seconds value\n" + "".join(f"{text_of(t)} {v}\n" for t, v in zip(stamps_ns, values, strict=True))
+    lines = [f"{text_of(t)} {v}\n" for t, v in zip(stamps_ns, values, strict=True)]
+    return "".join(["# seconds value\n", *lines])
 
 
 def write_tum_folder(
@@ -38,9 +39,9 @@ def write_tum_folder(
 ):
     """A log of ``frames`` images of random texture, moving right by ``shift_px`` a frame, on a plane.
 
-    Depth image k lies at ORIGIN_NS + k step_ns, its colour image offset_ns later. ``camera`` and ``groundtruth``
-    are texts (None: no such file). ``files`` maps names to what is written in the end: bytes, text, or None to
-    remove the file.
+    Depth image k lies at ORIGIN_NS + k step_ns, its colour image offset_ns later. ``camera`` and
+    ``groundtruth`` are texts (None: no such file). ``files`` maps names to what is written in the end: bytes,
+    text, or None to remove the file.
     """
     width, height = size
     (folder / "rgb").mkdir(parents=True)
@@ -53,8 +54,9 @@ def write_tum_folder(
         (folder / f"rgb/{k}.png").write_bytes(png(np.roll(texture, k * shift_px, axis=1)))
         (folder / f"depth/{k}.png").write_bytes(png(depth))
     stamps = [ORIGIN_NS + k * step_ns for k in range(frames)]
-    (folder / "rgb.txt").write_text(rows([t + offset_ns for t in stamps], [f"rgb/{k}.png" for k in range(frames)]))
-    (folder / "depth.txt").write_text(rows(stamps, [f"depth/{k}.png" for k in range(frames)]))
+    for kind, late in (("rgb", offset_ns), ("depth", 0)):
+        listed = rows([t + late for t in stamps], [f"{kind}/{k}.png" for k in range(frames)])
+        (folder / f"{kind}.txt").write_text(listed)
     texts = {"camera.txt": camera, "groundtruth.txt": groundtruth}
     for name, content in [*((n, t) for n, t in texts.items() if t is not None), *dict(files).items()]:
         if content is None:

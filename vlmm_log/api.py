@@ -5,20 +5,26 @@ from __future__ import annotations
 import hashlib
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vlmm_log.pipeline.run import Models, Tally, expected_pairs, keyframe_pairs, step
 from vlmm_log.protocols import Log, Moment, Progress, Sink
 from vlmm_log.readers import recognise
+from vlmm_log.readers.stamps import limit_ns
 from vlmm_log.settings import FlowSettings, Settings
 from vlmm_log.sinks.many import Many, watched_by
 from vlmm_log.sinks.summary import Summary
 from vlmm_log.types import InputError, Run, RunEnd, Skipped
 from vlmm_log.version import __version__
+
+if TYPE_CHECKING:
+    from vlmm_log.sinks.rerun import Rerun
 
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "scipy", "rerun-sdk")
 
@@ -52,25 +58,27 @@ def process(
     source = Path(source)
     reader = recognise(source)
     log = reader.open(source, s.read)
+    expected = expected_pairs(log.count(*_window(s)), s.keyframes)
     target = None if rrd is None else _free(Path(rrd), force)
     models, versions = load_models(s)
     run = Run(log.name, reader.name, s.to_toml(), versions, log.has_poses, log.world_up, tuple(log.notes))
     summary = Summary()
-    watchers: list[Sink] = [summary, *sinks]
-    outputs: list[Path] = []
-    if target is not None:
-        from vlmm_log.sinks.rerun import Rerun
-
-        recording = Rerun(target, run, recording_id=recording_id(run), dense=s.log.dense)
-        watchers.append(recording)
-    end = _watch(log, models, s, Many(watchers), progress)
-    if target is not None and end.pairs:
-        outputs.append(recording.path if end.complete else recording.partial)
-    elif target is not None:
-        recording.discard()
+    recordings = [] if target is None else [_recording(target, run, s)]
+    told = None if progress is None else partial(_tell, progress, expected)
+    end = _watch(log, models, s, Many([summary, *sinks, *recordings]), told)
     if not end.pairs and end.complete:
         raise InputError(f"{source}: no pair of frames could be processed{_why(summary)}")
-    return Processed(run, end, tuple(outputs), summary)
+    return Processed(run, end, tuple(r.written for r in recordings if r.written), summary)
+
+
+def _recording(path: Path, run: Run, s: Settings) -> Rerun:
+    from vlmm_log.sinks.rerun import Rerun
+
+    return Rerun(path, run, recording_id=recording_id(run), dense=s.log.dense)
+
+
+def _tell(progress: Progress, expected: int, done: int) -> None:
+    progress(done, expected)
 
 
 def load_models(s: Settings) -> tuple[Models, dict[str, str]]:
@@ -101,14 +109,17 @@ def recording_id(run: Run) -> str:
     return f"{run.source}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
-def _watch(log: Log, models: Models, s: Settings, sink: Sink, progress: Progress | None) -> RunEnd:
+def _window(s: Settings) -> tuple[int, int]:
+    """Start and stop, ns from the first frame."""
+    return limit_ns(s.read.start_s), limit_ns(s.read.stop_s)
+
+
+def _watch(log: Log, models: Models, s: Settings, sink: Sink, tell: Callable[[int], None] | None) -> RunEnd:
     """Feed the log to the pipeline and every result to the sink, until the end or Ctrl-C."""
     tally = Tally()
     done, complete = 0, False
-    window = (round(s.read.start_s * 1e9), round(s.read.stop_s * 1e9))
-    expected = expected_pairs(log.count(*window), s.keyframes)
     try:
-        with closing(keyframe_pairs(log.frames(*window), s, tally)) as stream:
+        with closing(keyframe_pairs(log.frames(*_window(s)), s, tally)) as stream:
             for item in stream:
                 if isinstance(item, Skipped):
                     sink.write(item, Moment(item.stamp_ns, item.index, 0.0))
@@ -116,8 +127,8 @@ def _watch(log: Log, models: Models, s: Settings, sink: Sink, progress: Progress
                 observe = watched_by(sink, item)
                 step(observe(item), models, s, observe)
                 done += 1
-                if progress is not None:
-                    progress(done, expected)
+                if tell is not None:
+                    tell(done)
         complete = True
     except KeyboardInterrupt:
         pass  # what was written stays, and is marked as incomplete

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 import traceback
@@ -33,7 +34,7 @@ def cli(debug: bool) -> None:
 )
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--rrd", type=click.Path(path_type=Path), help="Rerun recording to write; SOURCE-name.rrd if not given.")
-@click.option("--profile", default="default", show_default=True, help="default, or paper: what the paper prints.")
+@click.option("--profile", help="default, or paper: what the paper prints.")
 @click.option("--settings", "toml", type=click.Path(path_type=Path), help="TOML file of settings.")
 @click.option("--set", "sets", multiple=True, metavar="A.B=V", help="One setting; repeat as needed.")
 @click.option("--flow", type=click.Choice(["dis", "raft"]), help="Optical flow: dis needs no weights.")
@@ -48,7 +49,7 @@ def cli(debug: bool) -> None:
 def process(
     source: Path,
     rrd: Path | None,
-    profile: str,
+    profile: str | None,
     toml: Path | None,
     sets: tuple[str, ...],
     flow: str | None,
@@ -71,7 +72,7 @@ def process(
     options = {
         "flow.estimator": flow,
         "flow.weights": weights,
-        "keyframes.gap": gap if gap is None or not gap.isdigit() else int(gap),
+        "keyframes.gap": int(gap) if gap and gap.isascii() and gap.isdigit() else gap,
         "read.start_s": start,
         "read.stop_s": stop,
         "read.intrinsics": intrinsics,
@@ -95,8 +96,12 @@ def process(
 def main() -> None:
     """Run the command line. Exit codes: 0 done, 1 the answer is no, 2 cannot be used, 130 interrupted."""
     debug = "--debug" in sys.argv[1:]
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # a damaged image is told by us, once
     try:
         cli.main(args=[a for a in sys.argv[1:] if a != "--debug"], prog_name="vlmm-log", standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as e:
+        click.echo(e.format_message(), err=True)
+        sys.exit(2)
     except click.ClickException as e:
         where = f"{e.ctx.command_path}: " if isinstance(e, click.UsageError) and e.ctx else "vlmm-log: "
         click.echo(f"{where}{e.format_message()}", err=True)

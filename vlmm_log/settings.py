@@ -7,6 +7,7 @@ is an error that says the nearest one that does.
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -17,9 +18,10 @@ from vlmm_log.types import InputError
 
 T = TypeVar("T")
 S = TypeVar("S")
+LARGE = 1e12
 
 
-def knob(default: T, doc: str, *, low: float | None = None, high: float | None = None, of: tuple[str, ...] = ()) -> T:
+def knob(default: T, doc: str, *, low: float | None = None, high: float = LARGE, of: tuple[str, ...] = ()) -> T:
     """A setting: its default, meaning with unit, range (both ends allowed) or choices."""
     field_: T = field(default=default, metadata={"doc": doc, "low": low, "high": high, "of": of})
     return field_
@@ -33,10 +35,14 @@ class ReadSettings:
     depth_units_per_meter: float = knob(0.0, "stored depth value of one metre; 0: as the source says", low=0)
     depth_min_m: float = knob(0.1, "nearer depth is unseen, m", low=0)
     depth_max_m: float = knob(10.0, "farther depth is unseen, m", low=0)
-    association_s: float = knob(0.02, "largest time between a colour image and its depth image, s", low=0)
-    pose_gap_s: float = knob(0.1, "largest time between the two poses that a frame's pose is taken from, s", low=0)
-    start_s: float = knob(0.0, "first moment used, s from the log's first frame", low=0)
-    stop_s: float = knob(1e9, "first moment no longer used, s from the log's first frame", low=0)
+    association_s: float = knob(
+        0.02, "largest time between a colour image and its depth image, s", low=0, high=math.inf
+    )
+    pose_gap_s: float = knob(
+        0.1, "largest time between the two poses that a frame's pose is taken from, s", low=0, high=math.inf
+    )
+    start_s: float = knob(0.0, "first moment used, s from the log's first frame", low=0, high=math.inf)
+    stop_s: float = knob(1e9, "first moment no longer used, s from the log's first frame", low=0, high=math.inf)
 
 
 @dataclass(frozen=True)
@@ -145,7 +151,7 @@ class Settings:
     log: LogSettings = LogSettings()
 
     @staticmethod
-    def load(profile: str = "default", toml: Path | None = None, sets: Iterable[str] = ()) -> Settings:
+    def load(profile: str | None = None, toml: Path | None = None, sets: Iterable[str] = ()) -> Settings:
         """A profile, changed by a TOML file, changed by ``a.b=v`` texts.
 
         Raises InputError for a name that does not exist, a value of the wrong type or out of range.
@@ -153,11 +159,11 @@ class Settings:
         tables = [] if toml is None else [(str(toml), _read_toml(toml))]
         tables += [(f"--set {text}", _parse_set(text)) for text in sets]
         for where, table in tables:
-            name = table.get("profile")
-            if isinstance(name, str) and name != profile:
-                if where.startswith("--set"):
-                    raise InputError(f"{where}: choose a profile with --profile {name}")
-                profile = name
+            named = table.get("profile")
+            if isinstance(named, str) and named != (profile or named):
+                raise InputError(f"{where}: it sets profile {named!r}, another one says {profile!r}; keep one of them")
+            profile = named if isinstance(named, str) else profile
+        profile = profile or "default"
         if profile not in PROFILES:
             raise InputError(f"profile {profile!r}: no such profile; there are {', '.join(PROFILES)}")
         settings = PROFILES[profile]
@@ -223,11 +229,16 @@ def _parse_set(text: str) -> dict[str, Any]:
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
         raise InputError(f"--set {text}: write it as table.name=value, for example --set keyframes.gap=6")
+    keys = name.strip().split(".")
+    if len(keys) > 2 or "\n" in text:
+        raise InputError(f"--set {text[:60]}: one setting each, as in keyframes.gap=6")
     try:
         parsed: Any = tomllib.loads(f"v = {value}")["v"]
     except tomllib.TOMLDecodeError:
         parsed = value.strip()  # a bare word is a text
-    for key in reversed(name.strip().split(".")):
+    except (ValueError, RecursionError) as e:
+        raise InputError(f"--set {text[:60]}: the value is too long or too deep") from e
+    for key in reversed(keys):
         parsed = {key: parsed}
     return dict(parsed)
 
@@ -255,7 +266,7 @@ def _nearest(name: str, known: Mapping[str, object], prefix: str) -> str:
 
 def _checked(value: Any, current: object, meta: Mapping[str, Any], where: str) -> object:
     if isinstance(current, float) and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
+        value = float(value) if abs(value) < LARGE else math.inf
     kinds = (int, str) if where.endswith("keyframes.gap") else (type(current),)
     if type(value) not in kinds:
         raise InputError(f"{where}: {value!r} is not {' or '.join(k.__name__ for k in kinds)}")
@@ -263,7 +274,7 @@ def _checked(value: Any, current: object, meta: Mapping[str, Any], where: str) -
         raise InputError(f"{where}: {value!r} is not one of {', '.join(meta['of'])}")
     if isinstance(value, int | float):
         low, high = meta["low"], meta["high"]
-        if value != value or (low is not None and value < low) or (high is not None and value > high):
-            span = f"at least {low}" if high is None else f"between {low} and {high}"
+        if value != value or (low is not None and value < low) or value > high:
+            span = f"at least {low} and finite" if high == LARGE else f"between {low} and {high}"
             raise InputError(f"{where}: {value} is out of range; it must be {span}")
     return value

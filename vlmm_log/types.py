@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ CHI2_3_MEDIAN = 2.3659738843753377
 
 class InputError(Exception):
     """The call or its input cannot be used. The message is one line: what, where, remedy."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.splitlines()))  # a path or a value may hold line breaks
 
 
 def _freeze(record: object) -> None:
@@ -142,24 +146,38 @@ class Motion:
     def __post_init__(self) -> None:
         _freeze(self)
 
-    @property
+    @cached_property
     def valid_share(self) -> float:
         """Share of all pixels that were scored (coverage)."""
-        return float(np.mean(self.validity == Validity.VALID))
+        return float(np.count_nonzero(self.validity == Validity.VALID)) / self.validity.size
 
-    def scored(self) -> Float32:
-        """(N,) d_m of the pixels that were scored."""
-        return np.asarray(self.d_m[self.validity == Validity.VALID])
-
+    @cached_property
     def flagged_share(self) -> float:
         """Share of scored pixels above tau_px; NaN if none was scored."""
-        scored = self.scored()
-        return float(np.mean(scored > self.tau_px)) if scored.size else float("nan")
+        flagged = np.count_nonzero(self.d_m > self.tau_px) / self.validity.size
+        return flagged / self.valid_share if self.valid_share else float("nan")
 
+    @cached_property
     def static_d_m2_median(self) -> float:
-        """Median of d_m**2 over scored pixels: 2.366 where the noise model fits and most of the view is still."""
-        scored = self.scored()
-        return float(np.median(scored)) ** 2 if scored.size else float("nan")
+        """Median of d_m**2: 2.366 where the noise model fits and most of the view is still.
+
+        Of every other scored row and column, as all medians here; NaN if none was scored.
+        """
+        return self._median(self.d_m) ** 2
+
+    @cached_property
+    def norm(self) -> Float32:
+        """(H, W) m, length of the residual; NaN where not valid."""
+        return np.asarray(np.sqrt(np.einsum("kvu,kvu->vu", self.residual, self.residual)))
+
+    @cached_property
+    def median_norm(self) -> float:
+        """Median of ``norm``, m; NaN if none was scored."""
+        return self._median(self.norm)
+
+    def _median(self, values: Float32) -> float:
+        some = values[::2, ::2][self.validity[::2, ::2] == Validity.VALID]
+        return float(np.median(some)) if some.size else float("nan")
 
 
 @dataclass(frozen=True, eq=False)

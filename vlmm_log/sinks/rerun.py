@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from vlmm_log.protocols import Moment
 from vlmm_log.sinks import views
 from vlmm_log.sinks.blueprint import IMAGE, default_blueprint
-from vlmm_log.sinks.summary import median_norm
 from vlmm_log.types import Ego, FlowField, Frame, FramePair, InputError, Motion, Result, Run, RunEnd, Skipped
 
 ROWS_A_BATCH = 32  # scalars are sent in columns: 100 times cheaper than one by one
@@ -27,12 +26,13 @@ UP = {
 class Rerun:
     """Writes one recording beside ``path`` and renames it once it is complete.
 
-    An interrupted run's recording stays as ``path`` + ".partial", readable.
+    An interrupted run's recording stays as ``path`` + ".partial", readable; one without a pair is removed.
     """
 
     def __init__(self, path: Path, run: Run, *, recording_id: str, dense: bool) -> None:
         rr.set_strict_mode(True)
         self.path, self.partial = path, path.with_name(path.name + ".partial")
+        self.written: Path | None = None  # once closed: where the recording lies, None if it holds no pair
         self._dense = dense
         self._pair: FramePair | None = None
         self._K: np.ndarray[Any, Any] | None = None
@@ -77,12 +77,13 @@ class Rerun:
         )
         self._rec.flush()
         self._rec.disconnect()
-        if end.complete and end.pairs:
+        if not end.pairs:
+            self.partial.unlink(missing_ok=True)
+        elif end.complete:
             self.partial.replace(self.path)
-
-    def discard(self) -> None:
-        """Remove a recording that holds no pair."""
-        self.partial.unlink(missing_ok=True)
+            self.written = self.path
+        else:
+            self.written = self.partial
 
     def _begin(self, run: Run) -> None:
         rec = self._rec
@@ -96,7 +97,7 @@ class Rerun:
         rec.log("run", document, static=True)
         rec.log("world", UP[run.world_up], static=True)
         if not run.has_poses:
-            rec.log("world/camera", rr.Transform3D(), static=True)
+            rec.log("world/camera", rr.Transform3D(translation=[0, 0, 0]), static=True)
         ranges: dict[str, tuple[float, float, Literal["turbo", "viridis", "magma"]]] = {
             "residual/d_m": (0.0, 8.0, "turbo"),
             "residual/norm": (0.0, 0.3, "turbo"),
@@ -173,28 +174,27 @@ class Rerun:
         self._stat("stage_ms/motion", at, at.elapsed_ms)
         self._stat("valid_share", at, motion.valid_share)
         if motion.valid_share:
-            self._stat("median_d_m", at, float(np.sqrt(motion.static_d_m2_median())))
-            self._stat("flagged_share", at, motion.flagged_share())
-            self._stat("median_residual", at, median_norm(motion))
+            self._stat("median_d_m", at, float(np.sqrt(motion.static_d_m2_median)))
+            self._stat("flagged_share", at, motion.flagged_share)
+            self._stat("median_residual", at, motion.median_norm)
         else:
             self._log("no pixel of this pair could be scored", "WARN")
         validity = rr.SegmentationImage(motion.validity)
         rec.log(f"{IMAGE}/validity", validity)
-        norm = np.sqrt(np.einsum("kvu,kvu->vu", motion.residual, motion.residual))
-        thin = motion.covariances(1 if self._dense else 2)
+        thin = motion.covariances(1 if self._dense else 4)
         if self._dense:
             rec.log(f"{path}/d_m", rr.DepthImage(motion.d_m))
             rec.log(f"{path}/p_stat", rr.DepthImage(motion.p_stat))
-            rec.log(f"{path}/norm", rr.DepthImage(norm))
+            rec.log(f"{path}/norm", rr.DepthImage(motion.norm))
             rec.log(f"{path}/sigma_z", rr.DepthImage(thin.sigma_z))
             rec.log(f"{path}/tensor", rr.Tensor(motion.residual, dim_names=["xyz", "height", "width"]))
             covariance: NDArray[np.floating] = thin.upper
         else:
             rec.log(f"{path}/d_m", rr.DepthImage(views.half(motion.d_m)))
             rec.log(f"{path}/p_stat", rr.DepthImage(views.half(motion.p_stat[::2, ::2])))
-            rec.log(f"{path}/norm", rr.DepthImage(views.half(norm[::2, ::2])))
+            rec.log(f"{path}/norm", rr.DepthImage(views.half(motion.norm[::2, ::2])))
             rec.log(f"{path}/sigma_z", rr.DepthImage(views.half(thin.sigma_z)))
-            covariance = views.half(thin.upper[:, ::2, ::2] * 1e4)  # cm^2: metres squared underflow half precision
+            covariance = views.half(thin.upper * 1e4)  # cm^2: metres squared underflow half precision
         rec.log(f"{path}/covariance", rr.Tensor(covariance, dim_names=["xx_xy_xz_yy_yz_zz", "height", "width"]))
         if self._pair is not None:
             origins, vectors = views.moved_arrows(motion, self._pair.first, self._pair.second)

@@ -6,8 +6,6 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from statistics import median
 
-import numpy as np
-
 from vlmm_log.protocols import Moment
 from vlmm_log.types import CHI2_3_MEDIAN, Ego, FlowField, FramePair, Motion, Result, RunEnd, Skipped
 
@@ -44,9 +42,9 @@ class Summary:
                 self.stage_ms["motion"].append(at.elapsed_ms)
                 self.coverage.append(result.valid_share)
                 if result.valid_share:
-                    self.flagged.append(result.flagged_share())
-                    self.static_d_m2.append(result.static_d_m2_median())
-                    self.residual_m.append(median_norm(result))
+                    self.flagged.append(result.flagged_share)
+                    self.static_d_m2.append(result.static_d_m2_median)
+                    self.residual_m.append(result.median_norm)
 
     def close(self, end: RunEnd) -> None:
         """Keep how the run ended."""
@@ -67,9 +65,3 @@ class Summary:
         if self.static_d_m2:
             figures["calibrating_sigma_scale"] = (median(self.static_d_m2) / CHI2_3_MEDIAN) ** 0.5
         return figures
-
-
-def median_norm(motion: Motion) -> float:
-    """Median length of the scored residuals, m."""
-    squares = np.einsum("kvu,kvu->vu", motion.residual, motion.residual)
-    return float(np.sqrt(np.median(squares[motion.validity == 0])))
