@@ -143,8 +143,10 @@ class TumLog:
             return path.read_bytes()
         except FileNotFoundError as e:
             raise ImageError("listed file is missing") from e
-        except (OSError, ValueError, RuntimeError) as e:  # a directory, a NUL byte, a loop of links
-            raise ImageError("listed file cannot be read") from e
+        except OSError as e:
+            raise ImageError(f"listed file cannot be read: {e.strerror}") from e
+        except (ValueError, RuntimeError) as e:  # a NUL byte, a loop of links
+            raise ImageError("listed path is no path") from e
 
     def _check_size(self, rgb: tuple[int, ...], depth: tuple[int, ...]) -> None:
         if rgb[:2] != depth[:2]:

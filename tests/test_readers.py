@@ -46,7 +46,7 @@ def cannot_open(folder, *sets):
 # ---- stamps
 
 
-@given(st.decimals(-9_000_000_000, 9_000_000_000, places=9))
+@given(st.decimals(-4_000_000_000, 4_000_000_000, places=9))
 @example(Decimal("1305031237.029714123"))
 def test_seconds_are_exact_to_the_nanosecond(seconds):
     assert seconds_to_ns(str(seconds)) == Fraction(seconds) * 10**9
@@ -360,7 +360,7 @@ def test_intrinsics_from_a_file_elsewhere(tum_folder):
         ("fx sixty\n", "camera.txt:1: write a name and a number"),
         ("60 60 31.5 23.5\n", "camera.txt:1: write a name and a number"),
         ("fx -60\nfy 60\ncx 1\ncy 1\n", "must be positive"),
-        ("fx nan\nfy 60\ncx 1\ncy 1\n", "must be positive"),
+        ("fx nan\nfy 60\ncx 1\ncy 1\n", "a name and a number"),
         ("fx 60\nfy 60\ncx 1\ncy 1\nwidth nan\n", ""),
         ("fx 60\nfy 60\ncx 1\ncy 1\ndepth_scale -1\n", "finite"),
         (b"\xff\xfe\x00", "cannot read the intrinsics"),

@@ -34,7 +34,7 @@ class ReadSettings:
     intrinsics: str = knob("", "pinhole intrinsics: a camera.txt or 'fx,fy,cx,cy' px; empty: from the source")
     depth_units_per_meter: float = knob(0.0, "stored depth value of one metre; 0: as the source says", low=0)
     depth_min_m: float = knob(0.1, "nearer depth is unseen, m", low=0)
-    depth_max_m: float = knob(10.0, "farther depth is unseen, m", low=0)
+    depth_max_m: float = knob(10.0, "farther depth is unseen, m", low=0, high=math.inf)
     association_s: float = knob(
         0.02, "largest time between a colour image and its depth image, s", low=0, high=math.inf
     )
@@ -141,7 +141,7 @@ class Settings:
     """All of them."""
 
     profile: str = knob("default", "which values the others started from", of=("default", "paper"))
-    seed: int = knob(0, "of all randomness", low=0)
+    seed: int = knob(0, "of all randomness", low=0, high=math.inf)
     read: ReadSettings = ReadSettings()
     keyframes: KeyframeSettings = KeyframeSettings()
     flow: FlowSettings = FlowSettings()
@@ -275,6 +275,6 @@ def _checked(value: Any, current: object, meta: Mapping[str, Any], where: str) -
     if isinstance(value, int | float):
         low, high = meta["low"], meta["high"]
         if value != value or (low is not None and value < low) or value > high:
-            span = f"at least {low} and finite" if high == LARGE else f"between {low} and {high}"
+            span = f"at least {low} and finite" if high >= LARGE else f"between {low} and {high}"
             raise InputError(f"{where}: {value} is out of range; it must be {span}")
     return value
