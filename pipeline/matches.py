@@ -45,19 +45,20 @@ class Matches:
 def match(pair: FramePair, flow: FlowField, gate: GateSettings, noise: NoiseSettings, ego: EgoSettings) -> Matches:
     """Attach the gate and the noise model to the correspondences that the flow found."""
     first, second = pair.first, pair.second
+    k = noise.scale
     model = Model(
         fb_px=f32(gate.fb_px),
         depth_band=f32(gate.depth_band),
         occlusion_sigma=f32(gate.occlusion_sigma),
         occlusion_m=f32(gate.occlusion_m),
-        z_a=f32(noise.sigma_z_a),
-        z_b=f32(noise.sigma_z_b),
+        z_a=f32(k * noise.sigma_z_a),
+        z_b=f32(k * noise.sigma_z_b),
         z_z0=f32(noise.sigma_z_z0),
-        var_px_first=f32(noise.sigma_px_first**2),
-        var_px_second=f32(noise.sigma_px_second**2),
-        fb_variance=f32(noise.fb_variance),
-        var_displacement=f32(noise.displacement**2),
-        edge_inflation=f32(noise.edge_inflation),
+        var_px_first=f32((k * noise.sigma_px_first) ** 2),
+        var_px_second=f32((k * noise.sigma_px_second) ** 2),
+        fb_variance=f32(k**2 * noise.fb_variance),
+        var_displacement=f32((k * noise.displacement) ** 2),
+        edge_inflation=f32(k * noise.edge_inflation),
         var_rotation=f32(ego.pose_sigma_rad**2 if ego.model == "off" else 0.0),
         var_translation=f32(ego.pose_sigma_m**2 if ego.model == "off" else 0.0),
     )
@@ -93,8 +94,8 @@ def flow_covariance(rgb: UInt8, forward: Float32, noise: NoiseSettings) -> Float
     floor = WINDOW**2 / 2 * noise.grey_sigma**2  # a central difference halves the variance
     kernels.flow_covariance(
         structure_tensor(rgb),
-        flow_spread(forward, noise.flow_spread),
-        f32(noise.flow_sigma**2),
+        flow_spread(forward, noise.scale * noise.flow_spread),
+        f32((noise.scale * noise.flow_sigma) ** 2),
         f32(floor),
         f32(noise.flow_lambda),
         out,

@@ -40,10 +40,10 @@ def room_pair(
     return match(pair, _still(forward), s.gate, s.noise, s.ego), a.labels
 
 
-def random_matches(rng: np.random.Generator, *, sets=(), poses=True) -> Matches:
+def random_matches(rng: np.random.Generator, *, sets=(), poses=True, profile="default") -> Matches:
     """Anything goes: random depth with holes, random flow that also leaves the image, random images."""
     H, W = 96, 128
-    s = Settings.load(sets=sets)
+    s = Settings.load(profile, sets=sets)
     K = np.array([[110.0, 0, 63.2], [0, 108.0, 47.9], [0, 0, 1]])
 
     def frame(k):

@@ -82,6 +82,9 @@ class GateSettings:
 class NoiseSettings:
     """Sigma of a match: depth noise, lateral noise, flow noise."""
 
+    scale: float = knob(
+        1.0, "factor on every sigma below; `process` prints the one that calibrates a still log", low=1e-6
+    )
     sigma_z_a: float = knob(0.0012, "a in sigma_z = a + b (z - z0)^2, m (Nguyen, Izadi, Lovell 2012)", low=0)
     sigma_z_b: float = knob(0.0019, "b in sigma_z, 1/m", low=0)
     sigma_z_z0: float = knob(0.4, "z0 in sigma_z, m; the paper prints 0.4e-3", low=0)
