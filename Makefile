@@ -32,7 +32,7 @@ bench: $(VENV)/.ready  ## speed as ratios, from one run
 	$(PY) -m benchmarks.kernels
 
 picture: $(VENV)/.ready  ## the README's picture, from the demo, by the headless viewer (needs Vulkan)
-	$(PY) examples/viewer_picture.py demo/room.rrd docs/viewer.png --frame 12
+	$(PY) examples/viewer_picture.py demo/room.rrd docs/viewer.png 12
 
 clean:
 	rm -rf .house build dist demo *.egg-info

@@ -104,7 +104,7 @@ def main() -> None:
         pair = FramePair(logged[0], logged[3])
     dis = Dis(s.flow)
     flow = estimate_flow(pair, dis)
-    matches = match(pair, flow, s.gate, s.noise, s.ego)
+    matches = match(pair, flow, s.gate, s.noise)
     rng = np.random.default_rng(0)
     ego = refine_ego(matches, s.ego, rng)
     arrays = [a.copy() for a in copied_bytes(matches, ego)]
@@ -121,7 +121,7 @@ def main() -> None:
     rows = [
         ("flow both ways, DIS fast", milliseconds(lambda: dis(pair.first, pair.second)), ""),
         ("round trip of the flow", milliseconds(lambda: kernels.round_trip(flow.forward, flow.backward, into[5])), ""),
-        ("noise of the matches", milliseconds(lambda: match(pair, flow, s.gate, s.noise, s.ego)), ""),
+        ("noise of the matches", milliseconds(lambda: match(pair, flow, s.gate, s.noise)), ""),
         ("ego-refinement, row_linear", milliseconds(lambda: refine_ego(matches, s.ego, rng)), "at most 20 ms"),
         ("copy of the same bytes", copy, f"{size:.0f} bytes a pixel"),
         ("motion channel, whole", milliseconds(lambda: measure_motion(matches, ego)), ""),

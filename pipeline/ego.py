@@ -38,7 +38,8 @@ def refine_ego(matches: Matches, s: EgoSettings, rng: np.random.Generator) -> Eg
     grid = _Grid.gather(matches, s.stride)
     if s.model == "off" or grid.count < s.min_matches:
         off = s.model == "off"
-        return Ego(prior, np.zeros(6), np.zeros((6, 6)), np.zeros(6), np.nan, np.nan, grid.count, off)
+        covariance = np.diag(np.repeat([s.pose_sigma_rad, s.pose_sigma_m], 3) ** 2.0)
+        return Ego(prior, np.zeros(6), covariance, np.zeros(6), np.nan, np.nan, grid.count, off)
 
     unit = Fit(prior, np.zeros(6))
     cut = s.inlier_sigma**2 if s.inlier == "sigma" else 1.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from vlmm_log.pipeline import kernels
 from vlmm_log.pipeline.kernels import Camera, Model
-from vlmm_log.settings import EgoSettings, GateSettings, NoiseSettings
+from vlmm_log.settings import GateSettings, NoiseSettings
 from vlmm_log.types import Float32, FlowField, FramePair, UInt8
 
 f32 = np.float32
@@ -42,7 +42,7 @@ class Matches:
         )
 
 
-def match(pair: FramePair, flow: FlowField, gate: GateSettings, noise: NoiseSettings, ego: EgoSettings) -> Matches:
+def match(pair: FramePair, flow: FlowField, gate: GateSettings, noise: NoiseSettings) -> Matches:
     """Attach the gate and the noise model to the correspondences that the flow found."""
     first, second = pair.first, pair.second
     k = noise.scale
@@ -59,8 +59,8 @@ def match(pair: FramePair, flow: FlowField, gate: GateSettings, noise: NoiseSett
         fb_variance=f32(k**2 * noise.fb_variance),
         var_displacement=f32((k * noise.displacement) ** 2),
         edge_inflation=f32(k * noise.edge_inflation),
-        var_rotation=f32(ego.pose_sigma_rad**2 if ego.model == "off" else 0.0),
-        var_translation=f32(ego.pose_sigma_m**2 if ego.model == "off" else 0.0),
+        var_rotation=f32(0),  # of the relative pose: known once it is refined
+        var_translation=f32(0),
     )
     K = first.K
     return Matches(

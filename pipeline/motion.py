@@ -18,12 +18,16 @@ def measure_motion(matches: Matches, ego: Ego) -> Motion:
     H, W = matches.pair.first.depth.shape
     rows = as_rows(row_transforms(ego.T_second_first, ego.row_twist, np.arange(H), H))
     R_world_b = _world_rotation(matches)
+    pose_variance = np.diag(ego.covariance).reshape(2, 3).mean(axis=1)  # all but nothing once refined
+    model = matches.model._replace(
+        var_rotation=np.float32(pose_variance[0]), var_translation=np.float32(pose_variance[1])
+    )
     block, validity = np.empty((5, H, W), np.float32), np.empty((H, W), np.uint8)  # one block: fewer page faults
     residual, d_m, p_stat = block[:3], block[3], block[4]
     kernels.measure(
         *matches.arrays(),
         matches.camera,
-        matches.model,
+        model,
         rows,
         R_world_b,
         _p_table(),
@@ -40,7 +44,7 @@ def measure_motion(matches: Matches, ego: Ego) -> Motion:
             stride,
             *matches.arrays(),
             matches.camera,
-            matches.model,
+            model,
             rows,
             R_world_b,
             validity,

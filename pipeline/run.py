@@ -31,7 +31,7 @@ class Models:
 def step(pair: FramePair, models: Models, s: Settings, observe: Observe = unseen) -> Motion:
     """What this pair shows of motion."""
     flow = observe(estimate_flow(pair, models.flow))
-    matches = match(pair, flow, s.gate, s.noise, s.ego)
+    matches = match(pair, flow, s.gate, s.noise)
     ego = observe(refine_ego(matches, s.ego, _randomness(s.seed, pair)))
     return observe(measure_motion(matches, ego))
 

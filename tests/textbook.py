@@ -52,9 +52,8 @@ def motion(matches: Matches, ego: Ego) -> dict[str, np.ndarray]:
     sigma = Tb[:3, :3] @ Sb @ Tb[:3, :3].T + to_world_a @ Sa @ np.swapaxes(to_world_a, -1, -2)
     # Uncertain pose: var_t I + var_r (|p|^2 I - p p^T), p the moved point in camera b
     p = (moved - Tb[:3, 3]) @ Tb[:3, :3]
-    pose = float(m.var_translation) * np.eye(3) + float(m.var_rotation) * (
-        (p**2).sum(-1)[..., None, None] * np.eye(3) - p[..., :, None] * p[..., None, :]
-    )
+    var_r, var_t = np.diag(ego.covariance).reshape(2, 3).mean(axis=1)
+    pose = var_t * np.eye(3) + var_r * ((p**2).sum(-1)[..., None, None] * np.eye(3) - p[..., :, None] * p[..., None, :])
     sigma = sigma + Tb[:3, :3] @ pose @ Tb[:3, :3].T
 
     d2 = np.einsum("vui,vuij,vuj->vu", residual, np.linalg.inv(np.where(np.isnan(sigma), np.eye(3), sigma)), residual)

@@ -33,11 +33,11 @@ def room_pair(
         n = s.noise
         lateral = rng.normal(0, np.hypot(n.sigma_px_first, n.sigma_px_second), forward.shape)
         forward = forward + lateral
-        model = match(_pair(a, b, depth_a, depth_b, None, None), _still(forward), s.gate, n, s.ego).model
+        model = match(_pair(a, b, depth_a, depth_b, None, None), _still(forward), s.gate, n).model
         depth_a += rng.standard_normal(depth_a.shape) * sigma_z(model, depth_a)
         depth_b += rng.standard_normal(depth_b.shape) * sigma_z(model, depth_b)
     pair = _pair(a, b, depth_a, depth_b, T_a if poses else None, T_b if poses else None)
-    return match(pair, _still(forward), s.gate, s.noise, s.ego), a.labels
+    return match(pair, _still(forward), s.gate, s.noise), a.labels
 
 
 def random_matches(rng: np.random.Generator, *, sets=(), poses=True, profile="default") -> Matches:
@@ -55,7 +55,7 @@ def random_matches(rng: np.random.Generator, *, sets=(), poses=True, profile="de
 
     forward = rng.normal(0, 3, (H, W, 2)).astype(np.float32)
     flow = FlowField(forward, -forward, np.abs(rng.normal(0, 1.2, (H, W))).astype(np.float32))
-    return match(FramePair(frame(0), frame(1)), flow, s.gate, s.noise, s.ego)
+    return match(FramePair(frame(0), frame(1)), flow, s.gate, s.noise)
 
 
 def _still(forward: np.ndarray) -> FlowField:

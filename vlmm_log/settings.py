@@ -128,8 +128,12 @@ class EgoSettings:
     row_prior_m: float = knob(0.05, "standard deviation of the row twist's translation, m", low=1e-9)
     min_matches: int = knob(200, "fewer: the pair is marked unreliable", low=3)
     min_inlier_share: float = knob(0.3, "less: the pair is marked unreliable", low=0, high=1)
-    pose_sigma_rad: float = knob(0.01, "rotation noise of the relative pose, rad; enters Sigma when model = off", low=0)
-    pose_sigma_m: float = knob(0.01, "translation noise of the relative pose, m; enters Sigma when model = off", low=0)
+    pose_sigma_rad: float = knob(
+        0.01, "rotation noise of the log's relative pose, rad; in Sigma where it is not refined", low=0
+    )
+    pose_sigma_m: float = knob(
+        0.01, "translation noise of the log's relative pose, m; in Sigma where it is not refined", low=0
+    )
 
 
 @dataclass(frozen=True)

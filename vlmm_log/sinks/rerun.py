@@ -41,7 +41,7 @@ class Rerun:
             "vlmm-log",
             recording_id=recording_id,
             send_properties=False,  # the time of day it would send makes equal runs differ
-            batcher_config=rr.ChunkBatcherConfig(flush_tick=1e6, flush_num_bytes=8 << 20),
+            batcher_config=rr.ChunkBatcherConfig(flush_tick=1e6, flush_num_bytes=1 << 20),
         )
         self._rec.set_log_time_enabled(False)  # nothing but the input decides what is written
         try:
