@@ -17,6 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+import cv2
+import numpy as np
 import rerun_cli
 from rerun.experimental import ViewerClient
 
@@ -60,6 +62,16 @@ def take_picture(recording: Path, picture: Path, frame: int, size: str = "1280x8
             process.wait()
 
 
+def lighten(picture: Path, most_bytes: int = 300_000) -> None:
+    """Drop bits of colour until the PNG file is small enough for a README."""
+    pixels = cv2.imread(str(picture))
+    for bits in (8, 6, 5, 4):
+        if picture.stat().st_size <= most_bytes:
+            return
+        coarse = (pixels >> (8 - bits)) * np.float32(255 / (2**bits - 1))
+        cv2.imwrite(str(picture), coarse.astype(np.uint8), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
 def _connected(port: int) -> ViewerClient:
     client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
     client.get_state()
@@ -83,6 +95,8 @@ def _patient(attempt: Callable[[], T], seconds: float = 60) -> T:
 
 
 if __name__ == "__main__":
-    problems = take_picture(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0)
-    print("\n".join(problems) or f"wrote {sys.argv[2]}")
+    picture = Path(sys.argv[2])
+    problems = take_picture(Path(sys.argv[1]), picture, int(sys.argv[3]) if len(sys.argv) > 3 else 0, "1100x680")
+    lighten(picture)
+    print("\n".join(problems) or f"wrote {picture}")
     sys.exit(bool(problems))

@@ -179,7 +179,7 @@ ROWS = {  # figure -> what the table calls it, how it is written
     "coverage": ("coverage (pixels scored)", "{:.1%}"),
     "flagged_share": ("flagged (d_M above tau_px)", "{:.2%}"),
     "static_d_m2_median": ("d_M^2 median (2.366 expected of a still world)", "{:.2f}"),
-    "calibrating_sigma_scale": ("noise.scale that would make it 2.366", "{:.2f}"),
+    "calibrating_noise_scale": ("noise.scale that would make it 2.366", "{:.2f}"),
     "residual_median_m": ("residual median", "{:.4f} m"),
     "ego_inlier_share": ("ego-refinement inliers", "{:.1%}"),
     "flow_ms": ("flow", "{:.1f} ms"),

@@ -92,16 +92,16 @@ class NoiseSettings:
     sigma_px_second: float = knob(0.15, "lateral noise at b, px", low=0)
     fb_variance: float = knob(0.3, "flow variance at b as a multiple of the squared forward-backward error", low=0)
     displacement: float = knob(
-        0.008, "lateral noise at b as a share of the flow's length: lens distortion, blur, time offset", low=0
+        0.0082, "lateral noise at b as a share of the flow's length: lens distortion, blur, time offset", low=0
     )
     edge_inflation: float = knob(0.4, "depth noise of this multiple of the local 3x3 depth range, in quadrature", low=0)
     flow_sigma: float = knob(
-        4.0, "s_I, grey levels, of the texture's flow covariance s_I^2 (G - N + lambda I)^-1; 0: off", low=0
+        3.5, "s_I, grey levels, of the texture's flow covariance s_I^2 (G - N + lambda I)^-1; 0: off", low=0
     )
     flow_lambda: float = knob(1.0, "lambda of the texture's flow covariance, grey levels^2/px^2", low=1e-6)
     grey_sigma: float = knob(1.0, "image noise, grey levels: the part N of G that is no texture", low=0)
     flow_spread: float = knob(
-        0.7,
+        0.75,
         "flow noise at b as a share of the flow's own standard deviation over 36x36 px, camera's part removed",
         low=0,
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from statistics import median
 
 from vlmm_log.protocols import Moment
-from vlmm_log.types import CHI2_3_MEDIAN, Ego, FlowField, FramePair, Motion, Result, RunEnd, Skipped
+from vlmm_log.types import CHI2_3_MEDIAN, Ego, FlowField, Motion, Result, RunEnd, Skipped
 
 
 @dataclass
@@ -30,8 +30,6 @@ class Summary:
         match result:
             case Skipped():
                 self.skipped[result.reason] += 1
-            case FramePair():
-                self.pairs += 1
             case FlowField():
                 self.stage_ms["flow"].append(at.elapsed_ms)
             case Ego():
@@ -39,6 +37,7 @@ class Summary:
                 self.unreliable_pairs += not result.reliable
                 self.inlier_share.append(result.inlier_share)
             case Motion():
+                self.pairs += 1
                 self.stage_ms["motion"].append(at.elapsed_ms)
                 self.coverage.append(result.valid_share)
                 if result.valid_share:
@@ -63,5 +62,5 @@ class Summary:
         counts = {"pairs": self.pairs, "unreliable_pairs": self.unreliable_pairs}
         figures: dict[str, float | int] = {**counts, **{k: median(v) for k, v in medians.items() if v}}
         if self.static_d_m2:
-            figures["calibrating_sigma_scale"] = (median(self.static_d_m2) / CHI2_3_MEDIAN) ** 0.5
+            figures["calibrating_noise_scale"] = (median(self.static_d_m2) / CHI2_3_MEDIAN) ** 0.5
         return figures

@@ -40,7 +40,7 @@ def arrows(flow: Float32, spacing: int = 16) -> tuple[Float32, Float32]:
     return origins, np.asarray(flow[v.ravel(), u.ravel()])
 
 
-def moved_arrows(motion: Motion, frame: Frame, second: Frame, spacing: int = 8) -> tuple[Float32, Float32]:
+def moved_arrows(motion: Motion, frame: Frame, second: Frame, spacing: int = 16) -> tuple[Float32, Float32]:
     """Origins and vectors (N, 2) px: where flagged pixels went against the static world, across the image."""
     flagged = motion.d_m[::spacing, ::spacing] > motion.tau_px  # False where NaN
     v, u = np.nonzero(flagged)
