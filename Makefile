@@ -2,7 +2,7 @@
 VENV ?= .venv
 PY := $(VENV)/bin/python
 
-.PHONY: demo test check bench golden picture house clean
+.PHONY: demo test check bench picture house clean
 
 $(VENV)/.ready: pyproject.toml
 	python3 -m venv $(VENV)
@@ -26,12 +26,12 @@ house:  ## the import tree as the installed package has it, of links, for tools 
 check: $(VENV)/.ready house  ## lint, format, types
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
-	cd .house && ../$(VENV)/bin/mypy --config-file ../pyproject.toml vlmm_log
+	cd .house && $(abspath $(VENV))/bin/mypy --config-file ../pyproject.toml vlmm_log
 
 bench: $(VENV)/.ready  ## speed as ratios, from one run
 	$(PY) -m benchmarks.kernels
 
-picture: $(VENV)/.ready  ## the README's picture, from the demo, by the headless viewer (needs Vulkan)
+picture: demo  ## the README's picture, from the demo, by the headless viewer (needs Vulkan)
 	$(PY) examples/viewer_picture.py demo/room.rrd docs/viewer.png 12
 
 clean:

@@ -24,6 +24,7 @@ from vlmm_log.pipeline.ego import refine_ego
 from vlmm_log.pipeline.flow import estimate_flow
 from vlmm_log.pipeline.matches import match
 from vlmm_log.pipeline.motion import measure_motion
+from vlmm_log.pipeline.run import randomness
 from vlmm_log.protocols import FlowEstimator
 from vlmm_log.settings import FlowSettings, Settings
 from vlmm_log.types import Ego, FlowField, Frame, FramePair, Motion
@@ -60,7 +61,7 @@ def estimators(*, raft: bool) -> dict[str, FlowEstimator]:
 def measured(pair: FramePair, flow: FlowField, s: Settings) -> tuple[Ego, Motion]:
     """The channel of one pair on a flow that is already there."""
     matches = match(pair, flow, s.gate, s.noise)
-    ego = refine_ego(matches, s.ego, np.random.default_rng([s.seed, pair.first.index, pair.second.index]))
+    ego = refine_ego(matches, s.ego, randomness(s.seed, pair))
     return ego, measure_motion(matches, ego)
 
 

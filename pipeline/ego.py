@@ -18,7 +18,7 @@ from vlmm_log.pipeline.matches import Matches
 from vlmm_log.settings import EgoSettings
 from vlmm_log.types import CHI2_3_MEDIAN, Ego, Float32, Float64
 
-CHI2_3_QUARTILE = 1.2125329030456688  # a quarter of still points is below it; up to three in four may move
+CHI2_3_QUARTILE = 1.2125329030456688  # a quarter of still points is below it
 
 
 def row_transforms(T_second_first: Float64, row_twist: Float64, rows: NDArray[np.int64], height: int) -> Float64:
@@ -37,7 +37,8 @@ def refine_ego(matches: Matches, s: EgoSettings, rng: np.random.Generator) -> Eg
     prior = matches.pair.relative_pose()
     grid = _Grid.gather(matches, s.stride)
     if s.model == "off" or grid.count < s.min_matches:
-        off = s.model == "off"
+        first, second = matches.pair.first.T_world_cam, matches.pair.second.T_world_cam
+        off = s.model == "off" and first is not None and second is not None
         covariance = np.diag(np.repeat([s.pose_sigma_rad, s.pose_sigma_m], 3) ** 2.0)
         return Ego(prior, np.zeros(6), covariance, np.zeros(6), np.nan, np.nan, grid.count, off)
 
@@ -113,7 +114,7 @@ class _Grid:
     def inverse_covariances(self, fit: Fit) -> Float32:
         out = np.empty((6, self.count), np.float32)
         m = self.matches
-        ek.inverse_covariances(self.planes, self.rays, self.row, self.rows(fit), m.camera, m.model, out)
+        kernels.inverse_covariances(self.planes, self.rays, self.row, self.rows(fit), m.camera, m.model, out)
         return out
 
     def isotropic(self, sigma: float) -> Float32:

@@ -1,62 +1,16 @@
-"""Kernels of ego-refinement: whitening of the matches, MSAC scores, normal equations."""
+"""Kernels of ego-refinement: MSAC scores, normal equations. They call none of another file: numba's cache would not
+see that one change."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.pipeline.kernels import Camera, Model, jit, lateral_of, sheared, transform
+from vlmm_log.pipeline.kernels import jit
 from vlmm_log.types import Float32, Float64
 
 f32 = np.float32
 Int32 = NDArray[np.int32]
-
-
-@jit
-def inverse_covariances(
-    g: Float32, rays: Float32, row: Int32, rows: Float32, camera: Camera, m: Model, out: Float32
-) -> None:
-    """Sigma_m^-1 of each match in camera b into out (6, N): xx, xy, xz, yy, yz, zz, 1/m^2.
-
-    g (GATHERED, N) matches in the kernels' order of planes, rays (2, N) of camera a, row (N) index into rows (h, 12).
-    """
-    last = row[0]
-    T = transform(rows, last)
-    lateral = lateral_of(T, camera, m)
-    for i in range(g.shape[1]):
-        if row[i] != last:
-            last = row[i]
-            T = transform(rows, last)
-            lateral = lateral_of(T, camera, m)
-        nx, ny = g[0, i], g[1, i]
-        _, _, _, sxx, sxy, sxz, syy, syz, szz = sheared(
-            nx,
-            ny,
-            g[2, i],
-            g[3, i],
-            g[4, i],
-            g[5, i],
-            g[6, i],
-            g[7, i],
-            g[8, i],
-            rays[0, i],
-            rays[1, i],
-            T,
-            lateral,
-            m,
-        )
-        axx, axy, axz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
-        ayy, ayz, azz = sxx * szz - sxz * sxz, sxy * sxz - sxx * syz, sxx * syy - sxy * sxy
-        inv = f32(1) / (sxx * axx + sxy * axy + sxz * axz)
-        # S^T A S
-        bxz = axz - nx * axx - ny * axy
-        byz = ayz - nx * axy - ny * ayy
-        out[0, i] = inv * axx
-        out[1, i] = inv * axy
-        out[2, i] = inv * bxz
-        out[3, i] = inv * ayy
-        out[4, i] = inv * byz
-        out[5, i] = inv * (azz - nx * axz - ny * ayz - nx * bxz - ny * byz)
 
 
 @jit

@@ -31,8 +31,8 @@ class Models:
 def step(pair: FramePair, models: Models, s: Settings, observe: Observe = unseen) -> Motion:
     """What this pair shows of motion."""
     flow = observe(estimate_flow(pair, models.flow))
-    matches = match(pair, flow, s.gate, s.noise)
-    ego = observe(refine_ego(matches, s.ego, _randomness(s.seed, pair)))
+    matches = observe(match(pair, flow, s.gate, s.noise))
+    ego = observe(refine_ego(matches, s.ego, randomness(s.seed, pair)))
     return observe(measure_motion(matches, ego))
 
 
@@ -76,6 +76,6 @@ def keyframe_pairs(stream: Iterable[Frame | Skipped], s: Settings, tally: Tally)
         yield from pairs(frames, s.keyframes)
 
 
-def _randomness(seed: int, pair: FramePair) -> np.random.Generator:
+def randomness(seed: int, pair: FramePair) -> np.random.Generator:
     """A generator of the pair's own, so that no result depends on what was processed before."""
     return np.random.default_rng([seed, pair.first.index, pair.second.index])

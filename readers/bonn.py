@@ -1,7 +1,7 @@
 """Bonn RGB-D Dynamic folders: TUM layout, own intrinsics, poses of a marker. Palazzolo et al., IROS 2019.
 
 The dataset's page (https://www.ipb.uni-bonn.de/data/rgbd-dynamic-dataset) gives the camera's pose as
-``T_ros T_0 T_ros T_m`` for a listed pose T_0. No sequence could be had to check it on; ``doctor`` will.
+``T_ros T_0 T_ros T_m`` for a listed pose T_0. No sequence could be had to check it on.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ class Bonn:
     name = "bonn"
 
     def recognises(self, path: Path) -> bool:
-        """A folder in TUM layout that is called rgbd_bonn_*, or lies in a folder whose name has 'bonn' in it."""
+        """A folder in TUM layout that is called rgbd_bonn_*, or lies in one called bonn or rgbd_bonn_dataset."""
         full = path.resolve()
-        return "bonn" in f"{full.parent.name}/{full.name}".lower() and is_tum_folder(path)
+        inside = full.parent.name.lower() in ("bonn", "rgbd_bonn_dataset") and "freiburg" not in full.name
+        return (full.name.startswith("rgbd_bonn_") or inside) and is_tum_folder(path)
 
     def open(self, path: Path, s: ReadSettings) -> Log:
         """The log of a folder. Raises InputError where lists are missing."""

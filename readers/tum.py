@@ -191,6 +191,7 @@ def open_folder(
     notes = [f"intrinsics {camera.fx:g}, {camera.fy:g}, {camera.cx:g}, {camera.cy:g} px from {camera.source}"]
     notes.append(f"depth {units:g} per metre")
     notes.append("no poses" if poses is None else f"{poses.stamps_ns.size} poses from groundtruth.txt")
+    notes.append(f"{len(pairs)} of {len(rgb)} colour images have depth, the first at {depth[pairs[0][1]].stamp_ns} ns")
     name = path.resolve().name.encode("utf-8", "backslashreplace").decode()
     return TumLog(name, path, camera, units, s, rgb, depth, pairs, poses, world, marker, left_out, notes)
 
@@ -200,17 +201,16 @@ def _no_pose(s: ReadSettings) -> str:
 
 
 def _camera(path: Path, s: ReadSettings, known: Intrinsics | None) -> Intrinsics:
-    own = path / "camera.txt"
+    own = intrinsics.from_file(path / "camera.txt") if (path / "camera.txt").is_file() else known
     if s.intrinsics:
         given = intrinsics.from_text(s.intrinsics)
-        return replace(given, depth_scale=known.depth_scale) if known and not given.depth_scale else given
-    if own.is_file():
-        return intrinsics.from_file(own)
-    if known is not None:
-        return known
-    raise InputError(
-        f"{path}: no intrinsics: no camera.txt in it and no freiburg1-3 in its name; give --intrinsics fx,fy,cx,cy"
-    )
+        scale = given.depth_scale or (own.depth_scale if own else 0.0)  # what is not given stays as it was
+        return replace(given, depth_scale=scale)
+    if own is None:
+        raise InputError(
+            f"{path}: no intrinsics: no camera.txt in it and no freiburg1-3 in its name; give --intrinsics fx,fy,cx,cy"
+        )
+    return own
 
 
 def _rows(path: Path, left_out: list[Skipped]) -> list[_Row]:
@@ -223,6 +223,7 @@ def _rows(path: Path, left_out: list[Skipped]) -> list[_Row]:
         raise InputError(f"{path}: cannot be read: {e}") from e
     rows: list[_Row] = []
     latest = -LATEST_NS
+    unreadable: list[tuple[int, str]] = []  # rows read before, where
     for number, line in enumerate(lines, 1):
         words = line.strip().split(maxsplit=1)
         if not words or words[0].startswith("#"):
@@ -231,12 +232,15 @@ def _rows(path: Path, left_out: list[Skipped]) -> list[_Row]:
         try:
             row = _Row(seconds_to_ns(words[0]), words[1])
         except (ValueError, IndexError):
-            left_out.append(Skipped(rows[-1].stamp_ns if rows else 0, where, "row is not 'seconds value ...'"))
+            unreadable.append((len(rows), where))
             continue
         if row.stamp_ns < latest:
             left_out.append(Skipped(row.stamp_ns, where, "stamp out of order; the row was sorted in"))
         latest = max(latest, row.stamp_ns)
         rows.append(row)
+    for k, where in unreadable:  # told at the time of the row before, or of the first
+        stamp_ns = rows[max(k - 1, 0)].stamp_ns if rows else 0
+        left_out.append(Skipped(stamp_ns, where, "row is not 'seconds value ...'"))
     rows.sort(key=lambda r: r.stamp_ns)
     unique = [row for k, row in enumerate(rows) if k == 0 or row.stamp_ns != rows[k - 1].stamp_ns]
     repeated = [row for k, row in enumerate(rows) if k and row.stamp_ns == rows[k - 1].stamp_ns]

@@ -5,6 +5,7 @@ import pytest
 
 import render_room
 import vlmm_log
+from vlmm_log.pipeline.matches import Matches
 from vlmm_log.sinks.memory import Memory
 from vlmm_log.types import Ego, FlowField, FramePair, InputError, Motion, Skipped
 
@@ -16,7 +17,7 @@ PER_PAIR = [
     *(f"{IMAGE}/residual/{p}" for p in ("d_m", "norm", "sigma_z", "p_stat", "vectors", "covariance")),
     *(f"/stats/{p}" for p in ("inlier_share", "ego_rotation", "ego_translation", "median_d_m", "valid_share")),
     *(f"/stats/{p}" for p in ("flagged_share", "spread", "row_rotation", "row_translation", "median_residual")),
-    *(f"/stats/stage_ms/{p}" for p in ("flow", "ego", "motion")),
+    *(f"/stats/stage_ms/{p}" for p in ("flow", "matches", "ego", "motion")),
 ]
 
 
@@ -35,7 +36,7 @@ def test_every_stage_is_seen_once_a_pair_and_in_order(room):
     memory = Memory()
     done = vlmm_log.process(room, sinks=[memory])
     kinds = [type(r) for _, r in memory.seen if not isinstance(r, Skipped)]
-    assert kinds == [FramePair, FlowField, Ego, Motion] * 4
+    assert kinds == [FramePair, FlowField, Matches, Ego, Motion] * 4
     assert [at.index for at, r in memory.seen if isinstance(r, Motion)] == [0, 1, 2, 3]
     assert done.end == memory.end
     assert (done.end.frames, done.end.pairs, done.end.complete) == (7, 4, True)
@@ -168,3 +169,101 @@ def test_a_log_without_poses_is_processed(room, tmp_path):
     assert vlmm_log.process(bare, sinks=[without], rrd=tmp_path / "bare.rrd").end.pairs == 4
     for a, b in zip(motions(with_poses), motions(without), strict=True):
         assert np.nanmedian(np.abs(a.d_m - b.d_m) / a.d_m) < 0.1
+
+
+def test_ctrl_c_keeps_what_was_written_and_exits_130(room, tmp_path):
+    import signal
+    import subprocess
+    import sys
+
+    command = [sys.executable, "-c", "from vlmm_log.cli import main; main()", "process", str(room), "--rrd", "a.rrd"]
+    slow = {"flow.dis_preset": "medium", "ego.hypotheses": "100000"}
+    command += [f"--set={name}={value}" for name, value in slow.items()]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    partial = tmp_path / "a.rrd.partial"
+    while process.poll() is None and not (partial.exists() and partial.stat().st_size > 2_000_000):
+        pass
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert "interrupted" in out
+    assert not (tmp_path / "a.rrd").exists()
+    assert entities(partial)[f"{IMAGE}/residual/d_m"] >= 1
+
+
+def test_a_full_disk_keeps_the_good_output_and_says_so(room, tmp_path):
+    import subprocess
+    import sys
+
+    out = tmp_path / "room.rrd"
+    vlmm_log.process(room, rrd=out)
+    before = out.read_bytes()
+    limits = [len(before) // 2, len(before) - 3000, len(before) - 500]  # in the middle, and in the footer
+    for limit in limits:
+        code = (
+            "import resource, signal\n"
+            "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+            f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
+            "from vlmm_log.cli import main; main()"
+        )
+        command = [sys.executable, "-c", code, "process", str(room), "--rrd", str(out), "--force"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+        assert done.returncode == 2, (limit, done.stdout, done.stderr)
+        assert "cannot be written, is the disk full?" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert out.read_bytes() == before
+
+
+def test_a_failing_close_is_told_even_where_the_caller_handles_another_error(room):
+    class Unclosable(Memory):
+        def close(self, end):
+            raise InputError("cannot be closed")
+
+    try:
+        raise ValueError("the caller's own")
+    except ValueError:
+        with pytest.raises(InputError, match="cannot be closed"):
+            vlmm_log.process(room, sinks=[Unclosable()])
+
+
+def test_an_interrupted_runs_partial_is_not_overwritten_unasked(room, tmp_path):
+    (tmp_path / "a.rrd.partial").write_bytes(b"half a recording")
+    with pytest.raises(InputError, match=r"a\.rrd\.partial: exists"):
+        vlmm_log.process(room, rrd=tmp_path / "a.rrd")
+    vlmm_log.process(room, rrd=tmp_path / "a.rrd", force=True)
+    assert not (tmp_path / "a.rrd.partial").exists()
+
+
+def test_equal_runs_give_equal_recordings_but_for_the_time_taken(room, tmp_path):
+    from rerun.chunk import RrdReader
+
+    def values(rrd):
+        held = {}
+        for chunk in RrdReader(str(rrd)).store().stream():
+            batch = chunk.to_record_batch()
+            kept = [c for c in batch.schema.names if "RowId" not in c]
+            if not chunk.entity_path.startswith("/stats/stage_ms"):
+                held.setdefault(chunk.entity_path, []).append({c: batch[c].to_pylist() for c in kept})
+        return {path: sorted(map(repr, rows)) for path, rows in held.items()}
+
+    for name in ("a.rrd", "b.rrd"):
+        vlmm_log.process(room, rrd=tmp_path / name)
+    assert values(tmp_path / "a.rrd") == values(tmp_path / "b.rrd")
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_the_printed_scale_calibrates_whatever_scale_the_run_had(room, scale):
+    plain = vlmm_log.process(room).summary.figures()["calibrating_noise_scale"]
+    other = vlmm_log.process(room, settings=vlmm_log.Settings.load(sets=[f"noise.scale={scale}"]))
+    assert other.summary.figures()["calibrating_noise_scale"] == pytest.approx(plain, rel=0.1)
+
+
+def test_ego_off_needs_poses(room, tmp_path):
+    import shutil
+
+    bare = tmp_path / "bare"
+    shutil.copytree(room, bare)
+    (bare / "groundtruth.txt").unlink()
+    with pytest.raises(InputError, match="no poses, and ego"):
+        vlmm_log.process(bare, settings=vlmm_log.Settings.load(sets=["ego.model=off"]))

@@ -12,10 +12,10 @@ from scipy.linalg import polar
 from scipy.spatial.transform import Rotation, Slerp
 from tum_folder import ORIGIN_NS, png, rows
 
-from vlmm_log.readers import bonn, open_log
+from vlmm_log.readers import bonn, open_log, recognise
 from vlmm_log.readers.poses import trajectory
 from vlmm_log.readers.stamps import associate, seconds_to_ns
-from vlmm_log.settings import Settings
+from vlmm_log.settings import ReadSettings, Settings
 from vlmm_log.types import Frame, InputError, Skipped
 
 EVER = 2**62
@@ -438,3 +438,15 @@ def test_poses_of_bonn(tum_folder):
         assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
     assert len(frames) == 2
     assert not left_out
+
+
+def test_given_intrinsics_leave_the_depth_scale_as_it_was(tum_folder):
+    folder = tum_folder(files={"camera.txt": "fx 60\nfy 60\ncx 31.5\ncy 23.5\ndepth_scale 1000\n"})
+    notes = open_log(folder, ReadSettings(intrinsics="60,60,31.5,23.5")).notes
+    assert "depth 1000 per metre" in notes
+
+
+def test_a_freiburg_log_beside_bonn_ones_is_none(tum_folder):
+    assert recognise(tum_folder(name="bonn/rgbd_dataset_freiburg1_xyz")).name == "tum"
+    assert recognise(tum_folder(name="bonn/crowd")).name == "bonn"
+    assert recognise(tum_folder(name="elsewhere/rgbd_bonn_crowd")).name == "bonn"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import platform
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -58,11 +57,13 @@ def process(
     source = Path(source)
     reader = recognise(source)
     log = reader.open(source, s.read)
+    if s.ego.model == "off" and not log.has_poses:
+        raise InputError(f"{source}: no poses, and ego.model = off needs them; use rigid or row_linear")
     expected = expected_pairs(log.count(*_window(s)), s.keyframes)
     target = None if rrd is None else _free(Path(rrd), force)
     models, versions = load_models(s)
     run = Run(log.name, reader.name, s.to_toml(), versions, log.has_poses, log.world_up, tuple(log.notes))
-    summary = Summary()
+    summary = Summary(noise_scale=s.noise.scale)
     recordings = [] if target is None else [_recording(target, run, s)]
     told = None if progress is None else partial(_tell, progress, expected)
     end = _watch(log, models, s, Many([summary, *sinks, *recordings]), told)
@@ -105,7 +106,7 @@ def _raft(s: FlowSettings, versions: dict[str, str]) -> tuple[Models, dict[str, 
 
 def recording_id(run: Run) -> str:
     """The same for the same source, settings and versions, so that equal runs give equal recordings."""
-    text = "\n".join([run.source, run.settings, *(f"{k} {v}" for k, v in sorted(run.versions.items()))])
+    text = "\n".join([run.source, *run.notes, run.settings, *(f"{k} {v}" for k, v in sorted(run.versions.items()))])
     return f"{run.source}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
@@ -118,6 +119,7 @@ def _watch(log: Log, models: Models, s: Settings, sink: Sink, tell: Callable[[in
     """Feed the log to the pipeline and every result to the sink, until the end or Ctrl-C."""
     tally = Tally()
     done, complete = 0, False
+    failure: BaseException | None = None
     try:
         with closing(keyframe_pairs(log.frames(*_window(s)), s, tally)) as stream:
             for item in stream:
@@ -132,22 +134,31 @@ def _watch(log: Log, models: Models, s: Settings, sink: Sink, tell: Callable[[in
         complete = True
     except KeyboardInterrupt:
         pass  # what was written stays, and is marked as incomplete
+    except BaseException as e:
+        failure = e
+        raise
     finally:
         end = RunEnd(complete, tally.input_hash(), tally.frames, done)
-        failing = sys.exc_info()[0] is not None
-        try:
-            sink.close(end)
-        except Exception:
-            if not failing:  # else the first error is the one to tell
-                raise
+        _close(sink, end, failure)
     return end
+
+
+def _close(sink: Sink, end: RunEnd, failure: BaseException | None) -> None:
+    """Close the sink; where the run failed already, that is the error to tell."""
+    try:
+        sink.close(end)
+    except Exception as e:
+        if failure is None:
+            raise
+        failure.add_note(f"then: {e}")
 
 
 def _free(path: Path, force: bool) -> Path:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file, for example {path / 'out.rrd'}")
-    if path.exists() and not force:
-        raise InputError(f"{path}: exists; give --force to replace it")
+    for taken in (path, path.with_name(path.name + ".partial")):  # the latter is left of an interrupted run
+        if taken.exists() and not force:
+            raise InputError(f"{taken}: exists; give --force to replace it")
     return path
 
 

@@ -26,7 +26,7 @@ INTERRUPTED = 130
 @click.version_option(__version__, prog_name="vlmm-log")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def cli(debug: bool) -> None:
-    """What moved in a recording, how sure are we, and why did this run differ from the last one?"""
+    """What moved in a recording, and how sure are we?"""
 
 
 @cli.command(
@@ -69,17 +69,17 @@ def process(
     from vlmm_log.api import process as run
     from vlmm_log.settings import Settings
 
-    options = {
+    options: dict[str, object] = {
         "flow.estimator": flow,
         "flow.weights": weights,
-        "keyframes.gap": int(gap) if gap and gap.isascii() and gap.isdigit() else gap,
+        "keyframes.gap": int(gap) if gap and len(gap) < 5 and gap.isascii() and gap.isdigit() else gap,
         "read.start_s": start,
         "read.stop_s": stop,
         "read.intrinsics": intrinsics,
         "log.dense": True if dense else None,
     }
-    shorthand = [f"{name}={json.dumps(value)}" for name, value in options.items() if value is not None]
-    settings = Settings.load(profile, toml, [*sets, *shorthand])
+    given = {name: value for name, value in options.items() if value is not None}
+    settings = Settings.load(profile, toml, sets, given)
     if rrd is None:
         rrd = Path(f"{source.resolve().name}.rrd")
         click.echo(f"no output named: writing {rrd}", err=True)
@@ -94,7 +94,7 @@ def process(
 
 
 def main() -> None:
-    """Run the command line. Exit codes: 0 done, 1 the answer is no, 2 cannot be used, 130 interrupted."""
+    """Run the command line. Exit codes: 0 done, 2 cannot be used, 130 interrupted."""
     debug = "--debug" in sys.argv[1:]
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # a damaged image is told by us, once
     try:
@@ -114,7 +114,7 @@ def main() -> None:
         if debug:
             traceback.print_exc()
         elif isinstance(e, InputError | OSError):
-            click.echo(f"vlmm-log: {e}", err=True)
+            click.echo("; ".join([f"vlmm-log: {e}", *getattr(e, "__notes__", [])]), err=True)
         else:
             click.echo(
                 f"vlmm-log: internal error: {type(e).__name__}: {e}; run again with --debug and report it", err=True
@@ -183,6 +183,7 @@ ROWS = {  # figure -> what the table calls it, how it is written
     "residual_median_m": ("residual median", "{:.4f} m"),
     "ego_inlier_share": ("ego-refinement inliers", "{:.1%}"),
     "flow_ms": ("flow", "{:.1f} ms"),
+    "matches_ms": ("noise of the matches", "{:.1f} ms"),
     "ego_ms": ("ego-refinement", "{:.1f} ms"),
     "motion_ms": ("motion channel", "{:.1f} ms"),
 }
@@ -191,9 +192,11 @@ ROWS = {  # figure -> what the table calls it, how it is written
 def _print_table(done: Processed) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    console = Console()
-    table = Table(title=f"{done.run.source} ({done.run.reader}), medians over pairs", title_justify="left")
+    console = Console(markup=False)  # names may hold brackets
+    title = Text(f"{done.run.source} ({done.run.reader}), medians over pairs")
+    table = Table(title=title, title_justify="left")
     table.add_column("figure")
     table.add_column("value", justify="right")
     figures = done.summary.figures()
@@ -201,7 +204,7 @@ def _print_table(done: Processed) -> None:
         if name in figures:
             table.add_row(label, form.format(figures[name]))
     for reason, count in sorted(done.summary.skipped.items()):
-        table.add_row(f"noted: {reason}", str(count))
+        table.add_row(Text(f"noted: {reason}"), str(count))
     console.print(table)
     for note in done.run.notes:
         console.print(f"  {note}", highlight=False)

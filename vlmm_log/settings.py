@@ -19,6 +19,7 @@ from vlmm_log.types import InputError
 T = TypeVar("T")
 S = TypeVar("S")
 LARGE = 1e12
+NO_OPTIONS: Mapping[str, object] = {}
 
 
 def knob(default: T, doc: str, *, low: float | None = None, high: float = LARGE, of: tuple[str, ...] = ()) -> T:
@@ -99,7 +100,7 @@ class NoiseSettings:
         3.5, "s_I, grey levels, of the texture's flow covariance s_I^2 (G - N + lambda I)^-1; 0: off", low=0
     )
     flow_lambda: float = knob(1.0, "lambda of the texture's flow covariance, grey levels^2/px^2", low=1e-6)
-    grey_sigma: float = knob(1.0, "image noise, grey levels: the part N of G that is no texture", low=0)
+    grey_sigma: float = knob(1.0, "image noise, grey levels: the part N of G that is no texture; not scaled", low=0)
     flow_spread: float = knob(
         0.75,
         "flow noise at b as a share of the flow's own standard deviation over 36x36 px, camera's part removed",
@@ -158,13 +159,19 @@ class Settings:
     log: LogSettings = LogSettings()
 
     @staticmethod
-    def load(profile: str | None = None, toml: Path | None = None, sets: Iterable[str] = ()) -> Settings:
-        """A profile, changed by a TOML file, changed by ``a.b=v`` texts.
+    def load(
+        profile: str | None = None,
+        toml: Path | None = None,
+        sets: Iterable[str] = (),
+        options: Mapping[str, object] = NO_OPTIONS,
+    ) -> Settings:
+        """A profile, changed by a TOML file, by ``a.b=v`` texts, then by options: names ``a.b`` and their values.
 
         Raises InputError for a name that does not exist, a value of the wrong type or out of range.
         """
         tables = [] if toml is None else [(str(toml), _read_toml(toml))]
         tables += [(f"--set {text}", _parse_set(text)) for text in sets]
+        tables += [("option", _nested(name, value)) for name, value in options.items()]
         for where, table in tables:
             named = table.get("profile")
             if isinstance(named, str) and named != (profile or named):
@@ -245,9 +252,13 @@ def _parse_set(text: str) -> dict[str, Any]:
         parsed = value.strip()  # a bare word is a text
     except (ValueError, RecursionError) as e:
         raise InputError(f"--set {text[:60]}: the value is too long or too deep") from e
-    for key in reversed(keys):
-        parsed = {key: parsed}
-    return dict(parsed)
+    return _nested(name.strip(), parsed)
+
+
+def _nested(name: str, value: Any) -> dict[str, Any]:
+    for key in reversed(name.split(".")):
+        value = {key: value}
+    return dict(value)
 
 
 def _changed(settings: S, table: Mapping[str, Any], where: str, prefix: str) -> S:

@@ -116,7 +116,7 @@ class Ego:
     inlier_share: float  # of the matches tried; NaN where ego-refinement is off
     spread: float  # robust scale of the whitened residual: 1 when the noise model fits; NaN if off
     matches: int  # correspondences tried
-    reliable: bool  # False: too few matches or inliers, keep the pair out of the map
+    reliable: bool  # False: too few matches or inliers, or no pose where none was estimated
 
     def __post_init__(self) -> None:
         _freeze(self)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,6 +16,7 @@ from vlmm_log.sinks import views
 from vlmm_log.sinks.blueprint import IMAGE, default_blueprint
 from vlmm_log.types import Ego, FlowField, Frame, FramePair, InputError, Motion, Result, Run, RunEnd, Skipped
 
+FOOTER = b"RRF2FOOT"  # starts the last twelve bytes of a whole recording
 ROWS_A_BATCH = 32  # scalars are sent in columns: 100 times cheaper than one by one
 UP = {
     "+z": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
@@ -33,7 +35,7 @@ class Rerun:
         rr.set_strict_mode(True)
         self.path, self.partial = path, path.with_name(path.name + ".partial")
         self.written: Path | None = None  # once closed: where the recording lies, None if it holds no pair
-        self._dense = dense
+        self._dense, self._has_poses = dense, run.has_poses
         self._pair: FramePair | None = None
         self._K: np.ndarray[Any, Any] | None = None
         self._rows: dict[str, list[tuple[int, int, float]]] = {}
@@ -52,7 +54,13 @@ class Rerun:
         self._begin(run)
 
     def write(self, result: Result, at: Moment) -> None:
-        """Log one result at its frame and time."""
+        """Log one result at its frame and time. Raises InputError where the disk takes no more."""
+        try:
+            self._write(result, at)
+        except (OSError, RuntimeError) as e:  # Rerun reports a failed write of its own thread as RuntimeError
+            raise self._unwritable(e) from e
+
+    def _write(self, result: Result, at: Moment) -> None:
         self._at(at.stamp_ns, at.index)
         match result:
             case FramePair():
@@ -67,16 +75,18 @@ class Rerun:
                 self._ego(result, at)
             case Motion():
                 self._motion(result, at)
+            case _:
+                self._stat("stage_ms/matches", at, at.elapsed_ms)
 
     def close(self, end: RunEnd) -> None:
-        """Send what is batched, write the footer, and put the finished recording in its place."""
-        self._send_rows()
-        self._rec.send_property(
-            "vlmm_end",
-            rr.AnyValues(complete=end.complete, input_hash=end.input_hash, frames=end.frames, pairs=end.pairs),
-        )
-        self._rec.flush()
-        self._rec.disconnect()
+        """Send what is batched, write the footer, and put the finished recording in its place.
+
+        Raises InputError where it could not be written whole; then nothing is replaced.
+        """
+        try:
+            self._finish(end)
+        except (OSError, RuntimeError) as e:
+            raise self._unwritable(e) from e
         if not end.pairs:
             self.partial.unlink(missing_ok=True)
         elif end.complete:
@@ -84,6 +94,23 @@ class Rerun:
             self.written = self.path
         else:
             self.written = self.partial
+
+    def _finish(self, end: RunEnd) -> None:
+        self._send_rows()
+        self._rec.send_property(
+            "vlmm_end",
+            rr.AnyValues(complete=end.complete, input_hash=end.input_hash, frames=end.frames, pairs=end.pairs),
+        )
+        self._rec.flush()
+        self._rec.disconnect()  # writes the footer, and only prints if it cannot
+        with self.partial.open("rb") as f:
+            f.seek(-len(FOOTER) - 4, os.SEEK_END)
+            if not f.read().startswith(FOOTER):
+                raise OSError("its footer is missing")
+            os.fsync(f.fileno())
+
+    def _unwritable(self, e: Exception) -> InputError:
+        return InputError(f"{self.partial}: cannot be written, is the disk full? ({e})")
 
     def _begin(self, run: Run) -> None:
         rec = self._rec
@@ -126,11 +153,13 @@ class Rerun:
         if self._K is None or not np.array_equal(frame.K, self._K):
             size = [frame.rgb.shape[1], frame.rgb.shape[0]]
             camera = rr.Pinhole(image_from_camera=frame.K, resolution=size, camera_xyz=rr.ViewCoordinates.RDF)
-            rec.log(IMAGE, camera, static=self._K is None)
+            rec.log(IMAGE, camera)
             self._K = frame.K
         if frame.T_world_cam is not None:
             T = frame.T_world_cam
             rec.log("world/camera", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
+        elif self._has_poses:  # nowhere, rather than where it was last
+            rec.log("world/camera", rr.Clear(recursive=False))
         rgb, depth = frame.encoded_rgb, frame.encoded_depth
         if rgb is None:
             rec.log(f"{IMAGE}/rgb", rr.Image(frame.rgb).compress(jpeg_quality=90))
@@ -167,7 +196,7 @@ class Rerun:
         self._stat("row_translation", at, float(np.linalg.norm(ego.row_twist[3:])))
         if not ego.reliable:
             share = f"{ego.matches} matches, inlier share {ego.inlier_share:.2f}"
-            self._log(f"ego_unreliable: {share}; the pair is kept out of the map", "WARN")
+            self._log(f"ego_unreliable: {share}; do not trust this pair", "WARN")
 
     def _motion(self, motion: Motion, at: Moment) -> None:
         rec, path = self._rec, f"{IMAGE}/residual"

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from statistics import median
 
 from vlmm_log.protocols import Moment
-from vlmm_log.types import CHI2_3_MEDIAN, Ego, FlowField, Motion, Result, RunEnd, Skipped
+from vlmm_log.types import CHI2_3_MEDIAN, Ego, FlowField, FramePair, Motion, Result, RunEnd, Skipped
 
 
 @dataclass
 class Summary:
     """Medians over pairs, in the units their names say. NaN and empty lists until a pair was seen."""
 
+    noise_scale: float = 1.0  # of the run's settings
     pairs: int = 0
     unreliable_pairs: int = 0
     coverage: list[float] = field(default_factory=list)  # share of pixels scored
@@ -45,6 +46,11 @@ class Summary:
                     self.static_d_m2.append(result.static_d_m2_median)
                     self.residual_m.append(result.median_norm)
 
+            case FramePair():
+                pass
+            case _:
+                self.stage_ms["matches"].append(at.elapsed_ms)
+
     def close(self, end: RunEnd) -> None:
         """Keep how the run ended."""
         self.end = end
@@ -62,5 +68,5 @@ class Summary:
         counts = {"pairs": self.pairs, "unreliable_pairs": self.unreliable_pairs}
         figures: dict[str, float | int] = {**counts, **{k: median(v) for k, v in medians.items() if v}}
         if self.static_d_m2:
-            figures["calibrating_noise_scale"] = (median(self.static_d_m2) / CHI2_3_MEDIAN) ** 0.5
+            figures["calibrating_noise_scale"] = self.noise_scale * (median(self.static_d_m2) / CHI2_3_MEDIAN) ** 0.5
         return figures
