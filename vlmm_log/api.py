@@ -97,6 +97,9 @@ def load_models(s: Settings) -> tuple[Models, dict[str, str]]:
 
 
 def _raft(s: FlowSettings, versions: dict[str, str]) -> tuple[Models, dict[str, str]]:
+    from vlmm_log.models.weights import find_raft
+
+    find_raft(s.weights)  # before torch, whose import takes seconds
     from vlmm_log.models.raft import Raft
 
     raft = Raft(s)
