@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.data import SLICE, frames
 from vlmm_log.models.dis import Dis
-from vlmm_log.pipeline import kernels
+from vlmm_log.pipeline import flow_kernels, kernels
 from vlmm_log.pipeline.ego import as_rows, refine_ego, row_transforms
 from vlmm_log.pipeline.flow import estimate_flow
 from vlmm_log.pipeline.matches import Matches, match
@@ -52,7 +52,7 @@ def milliseconds(work: Callable[[], object], repeats: int = 15) -> float:
 def copied_bytes(matches: Matches, ego: Ego) -> list[np.ndarray]:
     """The arrays that the fused kernel reads and writes."""
     motion = measure_motion(matches, ego)
-    return [*matches.arrays(), motion.residual, motion.d_m, motion.p_stat, motion.validity]
+    return [*matches.inputs[:7], motion.residual, motion.d_m, motion.p_stat, motion.validity]
 
 
 def logging_share(pair: FramePair, models: Models, s: Settings) -> tuple[float, float]:
@@ -109,12 +109,16 @@ def main() -> None:
     copy = milliseconds(lambda: [np.copyto(b, a) for a, b in zip(arrays, into, strict=True)])
     rows_ = as_rows(row_transforms(ego.T_second_first, ego.row_twist, np.arange(H), H))
     turn, table, out = np.eye(3, dtype=np.float32), kernels.p_stat_table(), into[-4:]
-    measured = (*matches.arrays(), matches.camera, matches.model, rows_, turn, table, *out)
+    measured = (matches.inputs, rows_, turn, table, *out)
     fused = milliseconds(lambda: kernels.measure(*measured))
     naive = milliseconds(lambda: textbook.motion(matches, ego), repeats=3)
     rows = [
         ("flow both ways, DIS fast", milliseconds(lambda: dis(pair.first, pair.second)), ""),
-        ("round trip of the flow", milliseconds(lambda: kernels.round_trip(flow.forward, flow.backward, into[5])), ""),
+        (
+            "round trip of the flow",
+            milliseconds(lambda: flow_kernels.round_trip(flow.forward, flow.backward, into[5])),
+            "",
+        ),
         ("noise of the matches", milliseconds(lambda: match(pair, flow, s.gate, s.noise)), ""),
         ("ego-refinement, row_linear", milliseconds(lambda: refine_ego(matches, s.ego, rng)), "at most 20 ms"),
         ("copy of the same bytes", copy, f"{size:.0f} bytes a pixel"),

@@ -99,9 +99,9 @@ class _Grid:
         v, u = np.arange(0, H, stride), np.arange(0, W, stride)
         planes = np.empty((kernels.GATHERED, v.size, u.size), np.float32)
         status = np.empty((v.size, u.size), np.uint8)
-        kernels.gather_grid(stride, *matches.arrays(), matches.camera, matches.model, planes, status)
+        kernels.gather_grid(stride, matches.inputs, planes, status)
         j, i = np.nonzero(status == kernels.VALID)
-        c = matches.camera
+        c = matches.inputs.camera
         rays = np.stack([(u[i] - c.cx) / c.fx, (v[j] - c.cy) / c.fy]).astype(np.float32)
         kept = np.ascontiguousarray(planes[:, j, i])
         first, second = np.empty((3, j.size), np.float32), np.empty((3, j.size), np.float32)
@@ -113,8 +113,8 @@ class _Grid:
 
     def inverse_covariances(self, fit: Fit) -> Float32:
         out = np.empty((6, self.count), np.float32)
-        m = self.matches
-        kernels.inverse_covariances(self.planes, self.rays, self.row, self.rows(fit), m.camera, m.model, out)
+        x = self.matches.inputs
+        kernels.inverse_covariances(self.planes, self.rays, self.row, self.rows(fit), x.camera, x.model, out)
         return out
 
     def isotropic(self, sigma: float) -> Float32:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vlmm_log.pipeline import kernels
+from vlmm_log.pipeline import flow_kernels
 from vlmm_log.protocols import FlowEstimator
 from vlmm_log.types import FlowField, FramePair
 
@@ -14,5 +14,5 @@ def estimate_flow(pair: FramePair, estimator: FlowEstimator) -> FlowField:
     forward, backward = estimator(pair.first, pair.second)
     forward, backward = np.ascontiguousarray(forward, np.float32), np.ascontiguousarray(backward, np.float32)
     fb_error = np.empty(forward.shape[:2], np.float32)
-    kernels.round_trip(forward, backward, fb_error)
+    flow_kernels.round_trip(forward, backward, fb_error)
     return FlowField(forward, backward, fb_error)

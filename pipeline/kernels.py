@@ -50,6 +50,20 @@ class Model(NamedTuple):
     var_translation: np.float32
 
 
+class Inputs(NamedTuple):
+    """A pair as the kernels read it; fields of the first frame's grid but where told."""
+
+    depth_first: Float32  # (H, W) m
+    depth_second: Float32  # (H, W) m, on the second frame's grid
+    range_first: Float32  # (H, W) m, local depth range
+    range_second: Float32  # (H, W) m, on the second frame's grid
+    forward: Float32  # (H, W, 2) px
+    fb_error: Float32  # (H, W) px
+    flow_covariance: Float32  # (3, H, W) px^2, xx, xy, yy: what texture and neighbours leave open
+    camera: Camera
+    model: Model
+
+
 # Matches are worked on in blocks of one flat scratch array, plane after plane: constant distances between planes
 # let the compiler see that none overlaps another, and vectorise.
 BLOCK = 512  # pixels
@@ -79,54 +93,6 @@ jit = numba.njit(cache=True, fastmath={"contract", "nsz", "arcp", "reassoc"}, er
 
 
 @jit
-def round_trip(forward: Float32, backward: Float32, fb_error: Float32) -> None:
-    """|w_ab(u) + w_ba(u + w_ab(u))| px into fb_error, w_ba bilinear; NaN where u + w_ab(u) is out of view."""
-    H, W = fb_error.shape
-    right, bottom = f32(W - 1), f32(H - 1)
-    for v in range(H):
-        for u in range(W):
-            wx, wy = forward[v, u, 0], forward[v, u, 1]
-            x, y = f32(u) + wx, f32(v) + wy
-            if not (x >= f32(0) and y >= f32(0) and x <= right and y <= bottom):
-                fb_error[v, u] = f32(np.nan)
-                continue
-            x0, y0 = min(np.int32(x), W - 2), min(np.int32(y), H - 2)
-            ax, ay = x - f32(x0), y - f32(y0)
-            w00, w10 = (f32(1) - ax) * (f32(1) - ay), ax * (f32(1) - ay)
-            w01, w11 = (f32(1) - ax) * ay, ax * ay
-            ex, ey = wx, wy
-            ex += w00 * backward[y0, x0, 0] + w10 * backward[y0, x0 + 1, 0]
-            ex += w01 * backward[y0 + 1, x0, 0] + w11 * backward[y0 + 1, x0 + 1, 0]
-            ey += w00 * backward[y0, x0, 1] + w10 * backward[y0, x0 + 1, 1]
-            ey += w01 * backward[y0 + 1, x0, 1] + w11 * backward[y0 + 1, x0 + 1, 1]
-            fb_error[v, u] = math.sqrt(ex * ex + ey * ey)
-
-
-@jit
-def flow_covariance(
-    tensor: Float32, spread: Float32, var_texture: np.float32, floor: np.float32, ridge: np.float32, out: Float32
-) -> None:
-    """Flow covariance (3, H, W) px^2, xx, xy, yy: ``var_texture (max(G - floor, 0) + ridge I)^-1 + spread I``.
-
-    G (3, H, W) is the structure tensor, of which ``floor`` along either axis is sensor noise and no texture.
-    """
-    half = f32(0.5)
-    for v in range(spread.shape[0]):
-        for u in range(spread.shape[1]):
-            gxx, gxy, gyy = tensor[0, v, u], tensor[1, v, u], tensor[2, v, u]
-            mean, dx = half * (gxx + gyy), half * (gxx - gyy)
-            radius = math.sqrt(dx * dx + gxy * gxy)
-            # variances along the axes of most and of least texture
-            most = var_texture / (max(mean + radius - floor, f32(0)) + ridge)
-            least = var_texture / (max(mean - radius - floor, f32(0)) + ridge)
-            turn = half * (most - least) / max(radius, f32(1e-6))
-            middle = half * (most + least) + spread[v, u]
-            out[0, v, u] = middle + turn * dx
-            out[1, v, u] = turn * gxy
-            out[2, v, u] = middle - turn * dx
-
-
-@jit
 def _depth_at(depth: Float32, W: int, ax: Any, ay: Any, corner: Any, band: Any) -> Any:
     """Bilinear over the neighbours within ``band * z`` of the nearest one; NaN where that one is unseen.
 
@@ -153,36 +119,25 @@ def _depth_at(depth: Float32, W: int, ax: Any, ay: Any, corner: Any, band: Any) 
 
 
 @jit
-def _look_up(
-    v: int,
-    u0: int,
-    stride: int,
-    depth_a: Float32,
-    depth_b: Float32,
-    range_b: Float32,
-    forward: Float32,
-    fb_error: Float32,
-    m: Model,
-    s: Float32,
-    status: UInt8,
-) -> None:
+def _look_up(v: int, u0: int, stride: int, x: Inputs, s: Float32, status: UInt8) -> None:
     """The gate, and what only the match's place tells: u', both depths, depth range at b. Scalar: it jumps about."""
-    H, W = depth_a.shape
+    H, W = x.depth_first.shape
+    m = x.model
     right, bottom = f32(W - 1), f32(H - 1)
-    flat_depth, flat_range = depth_b.ravel(), range_b.ravel()
+    flat_depth, flat_range = x.depth_second.ravel(), x.range_second.ravel()
     for i in range(status.shape[0]):
         u = u0 + i * stride
-        za = depth_a[v, u]
-        x, y = f32(u) + forward[v, u, 0], f32(v) + forward[v, u, 1]
+        za = x.depth_first[v, u]
+        px, py = f32(u) + x.forward[v, u, 0], f32(v) + x.forward[v, u, 1]
         zb, near = f32(1), f32(0)
         if not za > f32(0):
             status[i] = NO_DEPTH
             za = f32(1)
-        elif not (x >= f32(0) and y >= f32(0) and x <= right and y <= bottom):
+        elif not (px >= f32(0) and py >= f32(0) and px <= right and py <= bottom):
             status[i] = OUT_OF_VIEW
         else:
-            x0, y0 = min(np.int32(x), np.int32(W - 2)), min(np.int32(y), np.int32(H - 2))
-            ax, ay = x - f32(x0), y - f32(y0)
+            x0, y0 = min(np.int32(px), np.int32(W - 2)), min(np.int32(py), np.int32(H - 2))
+            ax, ay = px - f32(x0), py - f32(y0)
             zb = _depth_at(flat_depth, W, ax, ay, np.uint64(y0 * W + x0), m.depth_band)
             below, beside = np.int32(ay >= f32(0.5)), np.int32(ax >= f32(0.5))
             near = flat_range[np.uint64((y0 + below) * W + x0 + beside)]
@@ -190,32 +145,18 @@ def _look_up(
                 status[i] = NO_DEPTH
                 zb = f32(1)
             else:
-                status[i] = VALID if fb_error[v, u] < m.fb_px else FB_INCONSISTENT
-        s[NX + i], s[NY + i], s[ZA + i], s[ZB + i], s[VB + i] = x, y, za, zb, near
+                status[i] = VALID if x.fb_error[v, u] < m.fb_px else FB_INCONSISTENT
+        s[NX + i], s[NY + i], s[ZA + i], s[ZB + i], s[VB + i] = px, py, za, zb, near
 
 
 @jit
-def gather(
-    v: int,
-    u0: int,
-    stride: int,
-    depth_a: Float32,
-    depth_b: Float32,
-    range_a: Float32,
-    range_b: Float32,
-    forward: Float32,
-    fb_error: Float32,
-    flow_cov: Float32,
-    camera: Camera,
-    m: Model,
-    s: Float32,
-    status: UInt8,
-) -> None:
+def gather(v: int, u0: int, stride: int, x: Inputs, s: Float32, status: UInt8) -> None:
     """Matches of pixels u0, u0 + stride, ... of image row v: GATHERED planes into ``s``, why-not into ``status`` (n,).
 
     Where a pixel has depth at both ends and its match is in view, the planes are right even if the gate fails.
     """
-    _look_up(v, u0, stride, depth_a, depth_b, range_b, forward, fb_error, m, s, status)
+    _look_up(v, u0, stride, x, s, status)
+    camera, m = x.camera, x.model
     inv_fx, inv_fy = f32(1) / camera.fx, f32(1) / camera.fy
     ixx, ixy, iyy = inv_fx * inv_fx, inv_fx * inv_fy, inv_fy * inv_fy
     for i in range(status.shape[0]):
@@ -223,40 +164,27 @@ def gather(
         s[NX + i] = (s[NX + i] - camera.cx) * inv_fx
         s[NY + i] = (s[NY + i] - camera.cy) * inv_fy
         da, db = s[ZA + i] - m.z_z0, s[ZB + i] - m.z_z0
-        sa, ea = m.z_a + m.z_b * da * da, m.edge_inflation * range_a[v, u]
+        sa, ea = m.z_a + m.z_b * da * da, m.edge_inflation * x.range_first[v, u]
         sb, eb = m.z_a + m.z_b * db * db, m.edge_inflation * s[VB + i]
         s[VA + i] = sa * sa + ea * ea
         s[VB + i] = sb * sb + eb * eb
         # lateral noise, round trip, displacement: isotropic; then what the image's texture leaves open
-        wx, wy, fb = forward[v, u, 0], forward[v, u, 1], fb_error[v, u]
+        wx, wy, fb = x.forward[v, u, 0], x.forward[v, u, 1], x.fb_error[v, u]
         same = m.var_px_second + m.fb_variance * fb * fb + m.var_displacement * (wx * wx + wy * wy)
-        s[CXX + i] = (same + flow_cov[0, v, u]) * ixx
-        s[CXY + i] = flow_cov[1, v, u] * ixy
-        s[CYY + i] = (same + flow_cov[2, v, u]) * iyy
+        s[CXX + i] = (same + x.flow_covariance[0, v, u]) * ixx
+        s[CXY + i] = x.flow_covariance[1, v, u] * ixy
+        s[CYY + i] = (same + x.flow_covariance[2, v, u]) * iyy
 
 
 @jit
-def sheared(
-    nx: Any,
-    ny: Any,
-    za: Any,
-    zb: Any,
-    va: Any,
-    vb: Any,
-    cxx: Any,
-    cxy: Any,
-    cyy: Any,
-    nax: Any,
-    nay: Any,
-    T: Any,
-    lateral: Any,
-    m: Model,
-) -> Any:
-    """Residual (3) and Sigma_m (6) of one gathered match in the sheared frame of camera b, and its predicted depth.
+def sheared(match: Any, nax: Any, nay: Any, T: Any, lateral: Any, m: Model) -> Any:
+    """Residual (3) and Sigma_m (6) of one gathered match in the sheared frame of camera b.
 
-    T (12) is R row by row, then t: the first camera in the second. ``lateral`` (6) is
-    sigma_px^2 (r1 r1^T / fx^2 + r2 r2^T / fy^2) of endpoint a, r1 and r2 the first columns of R.
+    ``match`` (9) holds its gathered values, (nax, nay) is the ray of u. T (12) is R row by row, then t: the first
+    camera in the second. ``lateral`` (6) is sigma_px^2 (r1 r1^T / fx^2 + r2 r2^T / fy^2) of endpoint a, r1 and r2 the
+    first columns of R.
     """
+    nx, ny, za, zb, va, vb, cxx, cxy, cyy = match
     # d p / d z_a: the ray of u, turned into camera b
     wx = T[0] * nax + T[1] * nay + T[2]
     wy = T[3] * nax + T[4] * nay + T[5]
@@ -312,16 +240,24 @@ def lateral_of(T: Any, camera: Camera, m: Model) -> Any:
 
 
 @jit
+def _match(s: Float32, i: int) -> Any:
+    """The gathered values of one match."""
+    return (
+        s[NX + i],
+        s[NY + i],
+        s[ZA + i],
+        s[ZB + i],
+        s[VA + i],
+        s[VB + i],
+        s[CXX + i],
+        s[CXY + i],
+        s[CYY + i],
+    )
+
+
+@jit
 def measure(
-    depth_a: Float32,
-    depth_b: Float32,
-    range_a: Float32,
-    range_b: Float32,
-    forward: Float32,
-    fb_error: Float32,
-    flow_cov: Float32,
-    camera: Camera,
-    m: Model,
+    x: Inputs,
     rows: Float32,
     R_world_b: Float32,
     p_table: Float32,
@@ -334,28 +270,19 @@ def measure(
 
     ``rows`` (H, 12) is, for each row of the first image, the first camera in the second (R, then t).
     """
-    H, W = depth_a.shape
+    H, W = x.depth_first.shape
     s = np.empty(PLANES * BLOCK, np.float32)
-    world = (
-        R_world_b[0, 0],
-        R_world_b[0, 1],
-        R_world_b[0, 2],
-        R_world_b[1, 0],
-        R_world_b[1, 1],
-        R_world_b[1, 2],
-        R_world_b[2, 0],
-        R_world_b[2, 1],
-        R_world_b[2, 2],
-    )
-    hide = m.occlusion_sigma > f32(0)
+    a, b, c = R_world_b[0], R_world_b[1], R_world_b[2]
+    world = (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+    hide = x.model.occlusion_sigma > f32(0)
     for v in range(H):
         T = transform(rows, v)
-        lateral = lateral_of(T, camera, m)
+        lateral = lateral_of(T, x.camera, x.model)
         for u0 in range(0, W, BLOCK):
             n = min(BLOCK, W - u0)
             status = validity[v, u0 : u0 + n]
-            gather(v, u0, 1, depth_a, depth_b, range_a, range_b, forward, fb_error, flow_cov, camera, m, s, status)
-            score(s, n, u0, v, T, lateral, world, camera, m)
+            gather(v, u0, 1, x, s, status)
+            score(s, n, u0, v, T, lateral, world, x.camera, x.model)
             if hide:
                 for i in range(n):
                     if s[BEHIND + i] > f32(0) and (status[i] == VALID or status[i] == FB_INCONSISTENT):
@@ -396,22 +323,7 @@ def score(s: Float32, n: int, u0: int, v: int, T: Any, lateral: Any, world: Any,
     for i in range(n):
         nax = (f32(u0 + i) - camera.cx) * inv_fx
         nx, ny = s[NX + i], s[NY + i]
-        rx, ry, rz, sxx, sxy, sxz, syy, syz, szz = sheared(
-            nx,
-            ny,
-            s[ZA + i],
-            s[ZB + i],
-            s[VA + i],
-            s[VB + i],
-            s[CXX + i],
-            s[CXY + i],
-            s[CYY + i],
-            nax,
-            nay,
-            T,
-            lateral,
-            m,
-        )
+        rx, ry, rz, sxx, sxy, sxz, syy, syz, szz = sheared(_match(s, i), nax, nay, T, lateral, m)
         # adjugate of Sigma
         axx, axy, axz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
         ayy, ayz, azz = sxx * szz - sxz * sxz, sxy * sxz - sxx * syz, sxx * syy - sxy * sxy
@@ -431,24 +343,11 @@ def score(s: Float32, n: int, u0: int, v: int, T: Any, lateral: Any, world: Any,
 
 @jit
 def sigma_m(
-    stride: int,
-    depth_a: Float32,
-    depth_b: Float32,
-    range_a: Float32,
-    range_b: Float32,
-    forward: Float32,
-    fb_error: Float32,
-    flow_cov: Float32,
-    camera: Camera,
-    m: Model,
-    rows: Float32,
-    R_world_b: Float32,
-    validity: UInt8,
-    upper: Float32,
-    sigma_z: Float32,
+    stride: int, x: Inputs, rows: Float32, R_world_b: Float32, validity: UInt8, upper: Float32, sigma_z: Float32
 ) -> None:
     """Sigma_m in the world frame and its standard deviation along b's optical axis, every ``stride`` pixels."""
     h, w = sigma_z.shape
+    camera, m = x.camera, x.model
     s = np.empty(PLANES * BLOCK, np.float32)
     status = np.empty(BLOCK, np.uint8)
     S = np.empty((3, 3), np.float32)
@@ -461,22 +360,7 @@ def sigma_m(
         for i0 in range(0, w, BLOCK):
             n = min(BLOCK, w - i0)
             u0 = i0 * stride
-            gather(
-                v,
-                u0,
-                stride,
-                depth_a,
-                depth_b,
-                range_a,
-                range_b,
-                forward,
-                fb_error,
-                flow_cov,
-                camera,
-                m,
-                s,
-                status[:n],
-            )
+            gather(v, u0, stride, x, s, status[:n])
             for i in range(n):
                 u = u0 + i * stride
                 if validity[v, u] != VALID:
@@ -485,22 +369,7 @@ def sigma_m(
                     continue
                 nx, ny = s[NX + i], s[NY + i]
                 nax = (f32(u) - camera.cx) * inv_fx
-                _, _, _, sxx, sxy, sxz, syy, syz, szz = sheared(
-                    nx,
-                    ny,
-                    s[ZA + i],
-                    s[ZB + i],
-                    s[VA + i],
-                    s[VB + i],
-                    s[CXX + i],
-                    s[CXY + i],
-                    s[CYY + i],
-                    nax,
-                    nay,
-                    T,
-                    lateral,
-                    m,
-                )
+                _, _, _, sxx, sxy, sxz, syy, syz, szz = sheared(_match(s, i), nax, nay, T, lateral, m)
                 sigma_z[j, i0 + i] = math.sqrt(szz)
                 # undo the shear: S^-1 Sigma S^-T
                 S[0, 2] = sxz + nx * szz
@@ -528,42 +397,14 @@ def _turned(S: Float32, R: Float32, upper: Float32) -> None:
 
 
 @jit
-def gather_grid(
-    stride: int,
-    depth_a: Float32,
-    depth_b: Float32,
-    range_a: Float32,
-    range_b: Float32,
-    forward: Float32,
-    fb_error: Float32,
-    flow_cov: Float32,
-    camera: Camera,
-    m: Model,
-    planes: Float32,
-    status: UInt8,
-) -> None:
+def gather_grid(stride: int, x: Inputs, planes: Float32, status: UInt8) -> None:
     """The gathered planes (GATHERED, h, w) and status (h, w) of every ``stride``-th row and column."""
     h, w = status.shape
     s = np.empty(PLANES * BLOCK, np.float32)
     for j in range(h):
         for i0 in range(0, w, BLOCK):
             n = min(BLOCK, w - i0)
-            gather(
-                j * stride,
-                i0 * stride,
-                stride,
-                depth_a,
-                depth_b,
-                range_a,
-                range_b,
-                forward,
-                fb_error,
-                flow_cov,
-                camera,
-                m,
-                s,
-                status[j, i0 : i0 + n],
-            )
+            gather(j * stride, i0 * stride, stride, x, s, status[j, i0 : i0 + n])
             for plane in range(GATHERED):
                 for i in range(n):
                     planes[plane, j, i0 + i] = s[plane * BLOCK + i]
@@ -586,22 +427,8 @@ def inverse_covariances(
             T = transform(rows, last)
             lateral = lateral_of(T, camera, m)
         nx, ny = g[0, i], g[1, i]
-        _, _, _, sxx, sxy, sxz, syy, syz, szz = sheared(
-            nx,
-            ny,
-            g[2, i],
-            g[3, i],
-            g[4, i],
-            g[5, i],
-            g[6, i],
-            g[7, i],
-            g[8, i],
-            rays[0, i],
-            rays[1, i],
-            T,
-            lateral,
-            m,
-        )
+        match = (nx, ny, g[2, i], g[3, i], g[4, i], g[5, i], g[6, i], g[7, i], g[8, i])
+        _, _, _, sxx, sxy, sxz, syy, syz, szz = sheared(match, rays[0, i], rays[1, i], T, lateral, m)
         axx, axy, axz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
         ayy, ayz, azz = sxx * szz - sxz * sxz, sxy * sxz - sxx * syz, sxx * syy - sxy * sxy
         inv = f32(1) / (sxx * axx + sxy * axy + sxz * axz)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from vlmm_log.pipeline import kernels
-from vlmm_log.pipeline.kernels import Camera, Model
+from vlmm_log.pipeline import flow_kernels
+from vlmm_log.pipeline.kernels import Camera, Inputs, Model
 from vlmm_log.settings import GateSettings, NoiseSettings
 from vlmm_log.types import Float32, FlowField, FramePair, UInt8
 
@@ -21,25 +21,8 @@ class Matches:
 
     pair: FramePair
     flow: FlowField
-    range_first: Float32  # (H, W) m, local 3x3 depth range
-    range_second: Float32  # (H, W) m
-    flow_covariance: Float32  # (3, H, W) px^2, xx, xy, yy: what texture and neighbours leave open
-    camera: Camera
-    model: Model
+    inputs: Inputs  # for the kernels: depths, flow, and the noise of both
     alpha: float  # of the chi-square test
-
-    def arrays(self) -> tuple[Float32, Float32, Float32, Float32, Float32, Float32, Float32]:
-        """What the kernels read, in their order."""
-        first, second = self.pair.first, self.pair.second
-        return (
-            first.depth,
-            second.depth,
-            self.range_first,
-            self.range_second,
-            self.flow.forward,
-            self.flow.fb_error,
-            self.flow_covariance,
-        )
 
 
 def match(pair: FramePair, flow: FlowField, gate: GateSettings, noise: NoiseSettings) -> Matches:
@@ -63,16 +46,18 @@ def match(pair: FramePair, flow: FlowField, gate: GateSettings, noise: NoiseSett
         var_translation=f32(0),
     )
     K = first.K
-    return Matches(
-        pair,
-        flow,
+    inputs = Inputs(
+        first.depth,
+        second.depth,
         local_depth_range(first.depth),
         local_depth_range(second.depth),
+        flow.forward,
+        flow.fb_error,
         flow_covariance(first.rgb, flow.forward, noise),
         Camera(f32(K[0, 0]), f32(K[1, 1]), f32(K[0, 2]), f32(K[1, 2])),
         model,
-        noise.alpha,
     )
+    return Matches(pair, flow, inputs, noise.alpha)
 
 
 def local_depth_range(depth: Float32) -> Float32:
@@ -92,7 +77,7 @@ def flow_covariance(rgb: UInt8, forward: Float32, noise: NoiseSettings) -> Float
     """
     out = np.empty((3, *forward.shape[:2]), np.float32)
     floor = WINDOW**2 / 2 * noise.grey_sigma**2  # a central difference halves the variance
-    kernels.flow_covariance(
+    flow_kernels.flow_covariance(
         structure_tensor(rgb),
         flow_spread(forward, noise.scale * noise.flow_spread),
         f32((noise.scale * noise.flow_sigma) ** 2),

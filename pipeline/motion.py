@@ -19,38 +19,18 @@ def measure_motion(matches: Matches, ego: Ego) -> Motion:
     rows = as_rows(row_transforms(ego.T_second_first, ego.row_twist, np.arange(H), H))
     R_world_b = _world_rotation(matches)
     pose_variance = np.diag(ego.covariance).reshape(2, 3).mean(axis=1)  # all but nothing once refined
-    model = matches.model._replace(
+    model = matches.inputs.model._replace(
         var_rotation=np.float32(pose_variance[0]), var_translation=np.float32(pose_variance[1])
     )
+    inputs = matches.inputs._replace(model=model)
     block, validity = np.empty((5, H, W), np.float32), np.empty((H, W), np.uint8)  # one block: fewer page faults
     residual, d_m, p_stat = block[:3], block[3], block[4]
-    kernels.measure(
-        *matches.arrays(),
-        matches.camera,
-        model,
-        rows,
-        R_world_b,
-        _p_table(),
-        residual,
-        d_m,
-        p_stat,
-        validity,
-    )
+    kernels.measure(inputs, rows, R_world_b, _p_table(), residual, d_m, p_stat, validity)
 
     def covariances(stride: int) -> Covariances:
         h, w = -(-H // stride), -(-W // stride)
         upper, sigma_z = np.empty((6, h, w), np.float32), np.empty((h, w), np.float32)
-        kernels.sigma_m(
-            stride,
-            *matches.arrays(),
-            matches.camera,
-            model,
-            rows,
-            R_world_b,
-            validity,
-            upper,
-            sigma_z,
-        )
+        kernels.sigma_m(stride, inputs, rows, R_world_b, validity, upper, sigma_z)
         return Covariances(stride, upper, sigma_z)
 
     tau_px = float(np.sqrt(chdtri(3, matches.alpha)))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vlmm_log import se3
-from vlmm_log.pipeline import ego_kernels, kernels
+from vlmm_log.pipeline import ego_kernels, flow_kernels
 from vlmm_log.pipeline.ego import Fit, _Grid
 from vlmm_log.pipeline.matches import WINDOW, flow_covariance, flow_spread, local_depth_range, structure_tensor
 from vlmm_log.settings import NoiseSettings
@@ -48,7 +48,7 @@ def test_flow_covariance_is_the_inverse_of_the_texture_above_noise():
     tensor = np.stack([G[..., 0, 0], G[..., 0, 1], G[..., 1, 1]]).astype(np.float32)
     spread = rng.uniform(0, 2, (H, W)).astype(np.float32)
     ours = np.empty_like(tensor)
-    kernels.flow_covariance(tensor, spread, np.float32(12.25), np.float32(40), np.float32(1.5), ours)
+    flow_kernels.flow_covariance(tensor, spread, np.float32(12.25), np.float32(40), np.float32(1.5), ours)
     values, vectors = np.linalg.eigh(G)
     kept = np.maximum(values - 40, 0) + 1.5
     book = np.einsum("vuij,vuj,vukj->vuik", vectors, 12.25 / kept, vectors) + spread[..., None, None] * np.eye(2)

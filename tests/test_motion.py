@@ -8,7 +8,7 @@ from scipy import stats
 
 import textbook
 from vlmm_log import se3
-from vlmm_log.pipeline import kernels
+from vlmm_log.pipeline import flow_kernels, kernels
 from vlmm_log.pipeline.ego import refine_ego
 from vlmm_log.pipeline.motion import measure_motion
 from vlmm_log.settings import EgoSettings
@@ -68,7 +68,7 @@ def test_round_trip_agrees_with_the_textbook_form():
     forward = rng.normal(0, 9, (50, 70, 2)).astype(np.float32)
     backward = rng.normal(0, 9, (50, 70, 2)).astype(np.float32)
     ours = np.empty((50, 70), np.float32)
-    kernels.round_trip(forward, backward, ours)
+    flow_kernels.round_trip(forward, backward, ours)
     book = textbook.round_trip(forward.astype(float), backward.astype(float))
     np.testing.assert_array_equal(np.isnan(ours), np.isnan(book))
     np.testing.assert_allclose(ours[~np.isnan(ours)], book[~np.isnan(book)], rtol=1e-3, atol=1e-3)
@@ -86,7 +86,7 @@ def test_a_still_noisy_world_gives_chi_square_under_any_camera_motion(name):
     )
     s = EgoSettings(model="rigid")
     motion = measure_motion(matches, refine_ego(matches, s, np.random.default_rng(0)))
-    smooth = matches.range_second < 0.15  # across a depth edge a noisy match reads the other surface
+    smooth = matches.inputs.range_second < 0.15  # across a depth edge a noisy match reads the other surface
     sample = motion.d_m[::9, ::9][(motion.validity == Validity.VALID)[::9, ::9] & smooth[::9, ::9]]
     assert sample.size > 2000
     assert stats.kstest(sample.astype(float) ** 2, stats.chi2(3).cdf).pvalue > 0.01

@@ -15,7 +15,7 @@ def motion(matches: Matches, ego: Ego) -> dict[str, np.ndarray]:
 
     Everything is computed for every pixel; where the gate fails the values mean nothing.
     """
-    first, second, m = matches.pair.first, matches.pair.second, matches.model
+    first, second, m = matches.pair.first, matches.pair.second, matches.inputs.model
     H, W = first.depth.shape
     K = first.K
     v, u = np.mgrid[0:H, 0:W].astype(np.float64)
@@ -37,15 +37,17 @@ def motion(matches: Matches, ego: Ego) -> dict[str, np.ndarray]:
     moved = np.einsum("vuij,vuj->vui", np.broadcast_to(R_hat, (H, W, 3, 3)), Xa_w) + t_hat
     residual = Xb_w - moved
 
-    half_range_a = float(m.edge_inflation) * matches.range_first.astype(np.float64)
+    half_range_a = float(m.edge_inflation) * matches.inputs.range_first.astype(np.float64)
     nearest = np.floor(at + 0.5).astype(int)
-    half_range_b = float(m.edge_inflation) * matches.range_second.astype(np.float64)[nearest[..., 1], nearest[..., 0]]
+    half_range_b = (
+        float(m.edge_inflation) * matches.inputs.range_second.astype(np.float64)[nearest[..., 1], nearest[..., 0]]
+    )
     Sa = end_covariance(K, Xa, float(m.var_px_first) * np.eye(2), sigma_z(m, za) ** 2 + half_range_a**2)
     fb = matches.flow.fb_error.astype(np.float64)
     same = float(m.var_px_second) + float(m.fb_variance) * fb**2
     same = same + float(m.var_displacement) * (matches.flow.forward.astype(np.float64) ** 2).sum(-1)
     C = same[..., None, None] * np.eye(2)
-    c = matches.flow_covariance.astype(np.float64)
+    c = matches.inputs.flow_covariance.astype(np.float64)
     C = C + np.stack([np.stack([c[0], c[1]], -1), np.stack([c[1], c[2]], -1)], -2)
     Sb = end_covariance(K, Xb, C, sigma_z(m, zb) ** 2 + half_range_b**2)
     to_world_a = R_hat @ Ta[:3, :3]

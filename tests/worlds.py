@@ -33,7 +33,7 @@ def room_pair(
         n = s.noise
         lateral = rng.normal(0, np.hypot(n.sigma_px_first, n.sigma_px_second), forward.shape)
         forward = forward + lateral
-        model = match(_pair(a, b, depth_a, depth_b, None, None), _still(forward), s.gate, n).model
+        model = match(_pair(a, b, depth_a, depth_b, None, None), _still(forward), s.gate, n).inputs.model
         depth_a += rng.standard_normal(depth_a.shape) * sigma_z(model, depth_a)
         depth_b += rng.standard_normal(depth_b.shape) * sigma_z(model, depth_b)
     pair = _pair(a, b, depth_a, depth_b, T_a if poses else None, T_b if poses else None)
