@@ -29,6 +29,8 @@ class Many:
             except Exception as e:  # noqa: BLE001  the other sinks' files matter as much
                 errors.append(e)
         if errors:
+            for other in errors[1:]:
+                errors[0].add_note(f"then: {other}")
             raise errors[0]
 
 
