@@ -80,9 +80,7 @@ def process(
     }
     given = {name: value for name, value in options.items() if value is not None}
     settings = Settings.load(profile, toml, sets, given)
-    if rrd is None:
-        rrd = Path(f"{source.resolve().name}.rrd")
-        click.echo(f"no output named: writing {rrd}", err=True)
+    rrd = rrd or Path(f"{source.resolve().name}.rrd")  # the closing table names it
     with _progress() as progress:
         done = run(source, rrd=rrd, settings=settings, force=force, progress=progress)
     if as_json:
