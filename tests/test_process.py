@@ -148,12 +148,21 @@ def test_a_failing_run_keeps_the_good_output(room, tmp_path):
 
     class Broken(Memory):
         def write(self, result, at):
-            if isinstance(result, Motion):
+            super().write(result, at)
+            if len(motions(self)) > most:
                 raise InputError("no room left")
+
+    most = 2
+    with pytest.raises(InputError, match="no room left") as e:
+        vlmm_log.process(room, rrd=tmp_path / "other.rrd", sinks=[Broken()])
+    assert e.value.__notes__ == [f"what was written until then is kept as {tmp_path / 'other.rrd.partial'}"]
+    assert entities(tmp_path / "other.rrd.partial")[f"{IMAGE}/residual/d_m"] >= most
+    most = 0
 
     with pytest.raises(InputError, match="no room left"):
         vlmm_log.process(room, rrd=out, force=True, sinks=[Broken()])
     assert out.read_bytes() == before
+    assert not (tmp_path / "room.rrd.partial").exists()  # it held no pair
     with pytest.raises(InputError, match="--force"):
         vlmm_log.process(room, rrd=out)
 

@@ -66,7 +66,12 @@ def process(
     summary = Summary(noise_scale=s.noise.scale)
     recordings = [] if target is None else [_recording(target, run, s)]
     told = None if progress is None else partial(_tell, progress, expected)
-    end = _watch(log, models, s, Many([summary, *sinks, *recordings]), told)
+    try:
+        end = _watch(log, models, s, Many([summary, *sinks, *recordings]), told)
+    except Exception as e:
+        for kept in (r.written for r in recordings if r.written):
+            e.add_note(f"what was written until then is kept as {kept}")
+        raise
     if not end.pairs and end.complete:
         raise InputError(f"{source}: no pair of frames could be processed{_why(summary)}")
     return Processed(run, end, tuple(r.written for r in recordings if r.written), summary)
