@@ -194,7 +194,7 @@ def test_ctrl_c_keeps_what_was_written_and_exits_130(room, tmp_path):
         pass
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
+    assert process.returncode == 130, (process.returncode, out, err)
     assert "Traceback" not in err
     assert "interrupted" in out
     assert not (tmp_path / "a.rrd").exists()

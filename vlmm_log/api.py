@@ -12,6 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vlmm_log.interrupt import Interruption
 from vlmm_log.pipeline.run import Models, Tally, expected_pairs, keyframe_pairs, step
 from vlmm_log.protocols import Log, Moment, Progress, Sink
 from vlmm_log.readers import recognise
@@ -129,8 +130,10 @@ def _watch(log: Log, models: Models, s: Settings, sink: Sink, tell: Callable[[in
     done, complete = 0, False
     failure: BaseException | None = None
     try:
-        with closing(keyframe_pairs(log.frames(*_window(s)), s, tally)) as stream:
+        with Interruption() as interruption, closing(keyframe_pairs(log.frames(*_window(s)), s, tally)) as stream:
             for item in stream:
+                if interruption.asked:
+                    break
                 if isinstance(item, Skipped):
                     sink.write(item, Moment(item.stamp_ns, item.index, 0.0))
                     continue
@@ -139,7 +142,8 @@ def _watch(log: Log, models: Models, s: Settings, sink: Sink, tell: Callable[[in
                 done += 1
                 if tell is not None:
                     tell(done)
-        complete = True
+            else:
+                complete = True
     except KeyboardInterrupt:
         pass  # what was written stays, and is marked as incomplete
     except BaseException as e:
