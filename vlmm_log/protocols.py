@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+from vlmm_log.elements import Movability
 from vlmm_log.settings import ReadSettings
-from vlmm_log.types import Float32, Frame, Result, RunEnd, Skipped
+from vlmm_log.types import Float32, Frame, Result, RunEnd, Segments, Skipped
 
 R = TypeVar("R")
 
@@ -65,6 +66,46 @@ class FlowEstimator(Protocol):
     def __call__(self, first: Frame, second: Frame) -> tuple[Float32, Float32]:
         """Flow (H, W, 2) px from the first image to the second, and back."""
         ...
+
+
+class Segmenter(Protocol):
+    """Instances of a frame."""
+
+    def __call__(self, frame: Frame) -> Segments:
+        """Masks and labels. Raises InputError where its files cannot be used."""
+        ...
+
+
+class Embedder(Protocol):
+    """Open-vocabulary features of regions and of texts, in one space."""
+
+    threshold: float  # cosine from which a text is taken to name an element
+
+    def regions(self, frame: Frame, segments: Segments) -> Float32:
+        """(n, D) unit features of the instances of a frame."""
+        ...
+
+    def texts(self, texts: Sequence[str]) -> Float32:
+        """(m, D) unit features."""
+        ...
+
+
+class MovabilityPrior(Protocol):
+    """Whether things of a label can move: once a label, then remembered."""
+
+    def __call__(self, label: str) -> Movability:
+        """The prior of an open-vocabulary label; "" is a thing without a name."""
+        ...
+
+
+@dataclass(frozen=True)
+class Models:
+    """What the method asks of learned or library models."""
+
+    flow: FlowEstimator
+    segment: Segmenter
+    embed: Embedder
+    prior: MovabilityPrior
 
 
 @dataclass(frozen=True)

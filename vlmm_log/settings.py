@@ -138,6 +138,61 @@ class EgoSettings:
 
 
 @dataclass(frozen=True)
+class ObjectSettings:
+    """Instances, and what a pair shows of each."""
+
+    segmenter: str = knob("geometric", "geometric, yolo:FILE.onnx, masks:FOLDER or none")
+    yolo_score: float = knob(0.25, "detections below it are dropped", low=0, high=1)
+    yolo_iou: float = knob(0.7, "of two boxes of a class that overlap more, the better stays", low=0, high=1)
+    yolo_names: str = knob("", "class names of the network, a text file, one a line; empty: from its metadata")
+    embedder: str = knob("words", "words, clip, clip:WEIGHTS, maskclip or maskclip:WEIGHTS")
+    crop_px: int = knob(640, "side that a region's crop is scaled to before the image encoder's own, px", low=32)
+    prior: str = knob("table", "movability prior: table, or llm:URL of an OpenAI-compatible endpoint")
+    llm_model: str = knob("gpt-4o-mini", "model that the endpoint is asked for")
+    quantile: float = knob(0.75, "o: this quantile of d_M over an instance's scored pixels", low=0, high=1)
+    coherence: str = knob(
+        "flagged", "gamma over the pixels above tau_px, or over all scored ones", of=("flagged", "all")
+    )
+    min_scored: int = knob(30, "fewer scored pixels in a pair: no observation", low=1)
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """Which instance is which element. Identities of the source bypass it."""
+
+    min_similarity: float = knob(0.35, "an assignment scores at least this, in [0, 1]", low=0, high=1)
+    overlap_weight: float = knob(0.5, "weight of the mask carried by the flow (IoU)", low=0)
+    position_weight: float = knob(0.25, "weight of the 3-D distance", low=0)
+    feature_weight: float = knob(0.25, "weight of label and semantic feature", low=0)
+    position_sigma_m: float = knob(0.1, "standard deviation of a centroid beyond the element's own extent, m", low=1e-6)
+    drift_m_s: float = knob(0.5, "and it grows this fast while unseen, m/s", low=0)
+    forget_s: float = knob(60.0, "an element unseen for longer is not found again", low=0, high=math.inf)
+
+
+@dataclass(frozen=True)
+class MapSettings:
+    """The persistent map and the fusion rule."""
+
+    min_pixels: int = knob(150, "an element needs this many pixels in some keyframe", low=1)
+    voxel_m: float = knob(0.05, "voxel of the background cloud, m", low=1e-3)
+    o_unit: float = knob(2.027, "o is divided by it: 2.027 is that of a calibrated still element", low=1e-6)
+    tau_o: float = knob(1.5, "moving: o above it", low=0)
+    kappa_o: float = knob(0.3, "and kappa at least this", low=0, high=1)
+    rho_tau: float = knob(0.55, "else movable: movability prior at least this", low=0, high=1)
+    interval_pairs: int = knob(2, "a motion interval needs this many pairs in a row (one if only one was seen)", low=1)
+
+
+@dataclass(frozen=True)
+class QuerySettings:
+    """Language."""
+
+    parser: str = knob("default", "default, paper (the paper's keyword router) or llm:URL")
+    threshold: float = knob(-1.0, "theta_s, cosine from which a text names an element; -1: the embedder's", low=-1)
+    near_m: float = knob(1.0, "what 'near' means, m", low=0)
+    limit: int = knob(1000, "answers at most", low=1)
+
+
+@dataclass(frozen=True)
 class LogSettings:
     """What a recording holds."""
 
@@ -156,6 +211,10 @@ class Settings:
     gate: GateSettings = GateSettings()
     noise: NoiseSettings = NoiseSettings()
     ego: EgoSettings = EgoSettings()
+    objects: ObjectSettings = ObjectSettings()
+    tracks: TrackSettings = TrackSettings()
+    map: MapSettings = MapSettings()
+    query: QuerySettings = QuerySettings()
     log: LogSettings = LogSettings()
 
     @staticmethod
@@ -213,6 +272,9 @@ PROFILES = {
             flow_spread=0.0,
         ),
         ego=EgoSettings(model="rigid", inlier="metric"),
+        objects=ObjectSettings(coherence="all"),
+        map=MapSettings(o_unit=1.0, tau_o=0.69, kappa_o=0.05),
+        query=QuerySettings(parser="paper"),
     ),
 }
 

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+Int32 = NDArray[np.int32]
+Int64 = NDArray[np.int64]
 UInt8 = NDArray[np.uint8]
 
 CHI2_3_MEDIAN = 2.3659738843753377
@@ -30,7 +32,7 @@ class InputError(Exception):
         super().__init__(" ".join(message.splitlines()))  # a path or a value may hold line breaks
 
 
-def _freeze(record: object) -> None:
+def freeze(record: object) -> None:
     """Make every array of a dataclass instance read-only."""
     for f in fields(record):  # type: ignore[arg-type]
         value = getattr(record, f.name)
@@ -61,7 +63,7 @@ class Frame:
     encoded_depth: EncodedImage | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +92,23 @@ class Skipped:
 
 
 @dataclass(frozen=True, eq=False)
+class Segments:
+    """Instances of one frame. Where masks overlap, a pixel belongs to one of them."""
+
+    labels: Int32  # (H, W) 0: none; k + 1: instance k of the n below
+    names: tuple[str, ...]  # open-vocabulary label; "" where the segmenter knows none
+    scores: Float32  # (n,) the detector's confidence in [0, 1]; 1 where it gives none
+    identities: Int64  # (n,) the source's own identity, unique in a frame; -1 where it has none
+    notes: tuple[str, ...] = ()  # what was left out or fell back, and why: few texts, so that they can be counted
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True, eq=False)
 class FlowField:
     """Dense optical flow both ways, and how far a round trip misses its start."""
 
@@ -98,7 +117,7 @@ class FlowField:
     fb_error: Float32  # (H, W) px, |w_ab(u) + w_ba(u + w_ab(u))|, NaN where the target is out of view
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +138,7 @@ class Ego:
     reliable: bool  # False: too few matches or inliers, or no pose where none was estimated
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze(self)
 
 
 class Validity(IntEnum):
@@ -144,7 +163,7 @@ class Motion:
     covariances: Callable[[int], Covariances] = field(repr=False)  # at every n-th row and column
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze(self)
 
     @cached_property
     def valid_share(self) -> float:
@@ -189,7 +208,7 @@ class Covariances:
     sigma_z: Float32  # (h, w) m, standard deviation along the second camera's optical axis
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze(self)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,205 @@
+"""The map's nouns: what was seen of an element, what that makes of it, and the map that holds them. numpy only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlmm_log.types import Float32, Int32, Int64, UInt8, freeze
+
+OBSERVATION = np.dtype(
+    [
+        ("first_ns", np.int64),  # stamps of the pair
+        ("second_ns", np.int64),
+        ("index", np.int32),  # of the pair's first frame
+        ("pixels", np.int32),  # in the mask
+        ("scored", np.int32),  # of them, valid in the motion channel
+        ("o", np.float32),  # quantile of d_M over the scored pixels, in sigmas
+        ("phi", np.float32),  # share of the scored pixels above tau_px
+        ("gamma", np.float32),  # mean resultant length of their residuals' directions
+        ("kappa", np.float32),  # reliability, phi * gamma
+        ("gamma_all", np.float32),  # mean resultant length over all scored pixels, as the paper prints it
+        ("position", np.float32, 3),  # m, world: mean of the mask's points near its median depth
+        ("extent", np.float32, 6),  # m^2, covariance of those points: xx, xy, xz, yy, yz, zz, world axes
+        ("drift", np.float32, 3),  # m, mean residual of the pixels above tau_px, world axes; 0 if there is none
+    ]
+)
+"""One row: what one pair shows of one element."""
+
+Observations = NDArray[np.void]  # of dtype OBSERVATION
+
+
+class MotionClass(IntEnum):
+    """The fused class y (paper, fusion rule)."""
+
+    STATIC = 0
+    MOVABLE_STATIC = 1
+    MOVING = 2
+
+
+@dataclass(frozen=True)
+class Movability:
+    """Whether things of a label can move."""
+
+    rho: float  # in [0, 1]
+    source: str  # "table: AI2-THOR", "similar to mug (0.81)", "llm: gpt-4o-mini", "unknown"
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """All that was seen of one element: exact lists, so that maps merge exactly."""
+
+    id: int
+    votes: Mapping[str, int]  # label -> sum of the detector's scores, in thousandths
+    observations: Observations  # (k,) in time order
+    feature: Float32  # (D,) unit semantic feature, of the frame in which it had most pixels
+    feature_pixels: int
+    feature_index: int  # that frame
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def label(self) -> str:
+        """The label with most votes; the first by name among equals."""
+        return min(self.votes, key=lambda name: (-self.votes[name], name))
+
+
+@dataclass(frozen=True, eq=False)
+class Element:
+    """The paper's tuple <p, f, o, kappa, rho, y, c>, and what the default profile adds to it."""
+
+    evidence: Evidence
+    label: str
+    position: Float32  # (3,) m, world: median over observations
+    extent: Float32  # (6,) m^2: median over observations
+    o: float  # median observed-motion score; in units of objects.o_unit, so that `default` gives 1 for a still one
+    kappa: float  # median reliability
+    rho: float  # movability prior
+    rho_source: str
+    motion_class: MotionClass
+    confidence: float  # c of the paper: kappa, rho or 1 - rho
+    p_stat: float  # chi-square tail probability of the median o in sigmas, 3 degrees of freedom
+    score: float  # kappa-weighted mean of o: does not forget a mover that mostly stood still
+    speed: float  # m/s: median over the observations that moved of |drift| / time; 0 if none did
+    intervals: Int64  # (m, 2) ns, spans in which it was observed to move
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def id(self) -> int:
+        """Identity in the map."""
+        return self.evidence.id
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """Coloured voxels of what stood still: exact integer sums, so that maps merge exactly."""
+
+    voxel_m: float
+    cells: Int32  # (n, 3) voxel coordinates, floor(world / voxel_m), in lexicographic order, each once
+    sums: Int64  # (n, 4) number of points, and sums of red, green, blue
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def points(self) -> Float32:
+        """(n, 3) m, voxel centres."""
+        return np.asarray((self.cells + 0.5) * self.voxel_m, np.float32)
+
+    @property
+    def colors(self) -> UInt8:
+        """(n, 3) mean colours."""
+        return np.asarray(self.sums[:, 1:] // np.maximum(self.sums[:, :1], 1), np.uint8)
+
+
+def empty_background(voxel_m: float) -> Background:
+    """No voxel yet."""
+    return Background(voxel_m, np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class WorldMap:
+    """The persistent map. ``elements`` holds the instantiated ones, ``evidence`` also what is still too small."""
+
+    evidence: Mapping[int, Evidence]
+    elements: Mapping[int, Element]
+    background: Background
+    touched: tuple[int, ...] = ()  # elements that the last update changed
+
+    @cached_property
+    def columns(self) -> Elements:
+        """All elements by id, as columns."""
+        return columns(self.elements[i] for i in sorted(self.elements))
+
+
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """Elements as columns: what queries, grids and sinks read. Units as in Element."""
+
+    ids: Int64  # (n,)
+    labels: tuple[str, ...]
+    positions: Float32  # (n, 3)
+    extents: Float32  # (n, 6)
+    features: Float32  # (n, D)
+    o: Float32  # (n,)
+    kappa: Float32
+    rho: Float32
+    motion_class: UInt8  # MotionClass
+    confidence: Float32
+    p_stat: Float32
+    score: Float32
+    speed: Float32
+    observations: Int32  # how many
+    pixels: Int32  # most in one frame
+    first_ns: Int64  # first and last time seen
+    last_ns: Int64
+    interval_rows: Int32  # (m,) row that each motion interval belongs to
+    intervals: Int64  # (m, 2) ns
+    rho_sources: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def __len__(self) -> int:
+        return int(self.ids.size)
+
+
+def columns(elements: Iterable[Element]) -> Elements:
+    """Elements as columns, in the order given."""
+    rows = list(elements)
+    seen = [e.evidence.observations for e in rows]
+
+    def each(name: str, kind: type = np.float32) -> NDArray[np.generic]:
+        return np.array([getattr(e, name) for e in rows], kind)
+
+    width = rows[0].evidence.feature.size if rows else 0
+    return Elements(
+        ids=np.array([e.id for e in rows], np.int64),
+        labels=tuple(e.label for e in rows),
+        positions=np.array([e.position for e in rows], np.float32).reshape(-1, 3),
+        extents=np.array([e.extent for e in rows], np.float32).reshape(-1, 6),
+        features=np.array([e.evidence.feature for e in rows], np.float32).reshape(len(rows), width),
+        o=each("o"),
+        kappa=each("kappa"),
+        rho=each("rho"),
+        motion_class=each("motion_class", np.uint8),
+        confidence=each("confidence"),
+        p_stat=each("p_stat"),
+        score=each("score"),
+        speed=each("speed"),
+        observations=np.array([o.size for o in seen], np.int32),
+        pixels=np.array([e.evidence.feature_pixels for e in rows], np.int32),
+        first_ns=np.array([o["first_ns"][0] for o in seen], np.int64),
+        last_ns=np.array([o["second_ns"].max() for o in seen], np.int64),
+        interval_rows=np.repeat(np.arange(len(rows), dtype=np.int32), [len(e.intervals) for e in rows]),
+        intervals=np.concatenate([np.zeros((0, 2), np.int64), *(e.intervals for e in rows)]),
+        rho_sources=tuple(e.rho_source for e in rows),
+    )
