@@ -9,31 +9,54 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vlmm_log.elements import WorldMap
 from vlmm_log.pipeline.ego import refine_ego
 from vlmm_log.pipeline.flow import estimate_flow
+from vlmm_log.pipeline.fusion import fuse
 from vlmm_log.pipeline.keyframes import Gap, pairs, prefetched
 from vlmm_log.pipeline.matches import match
 from vlmm_log.pipeline.motion import measure_motion
-from vlmm_log.protocols import FlowEstimator, Observe, unseen
+from vlmm_log.pipeline.objects import aggregate
+from vlmm_log.pipeline.odometry import locate
+from vlmm_log.pipeline.tracks import Tracks, associate, remember
+from vlmm_log.pipeline.world_map import empty_map, seen_background, update
+from vlmm_log.protocols import Models, Observe, unseen
 from vlmm_log.settings import KeyframeSettings, Settings
-from vlmm_log.types import Frame, FramePair, Motion, Skipped
+from vlmm_log.types import Features, Frame, FramePair, Odometry, Skipped
 
 READ_AHEAD = 4  # frames
 
 
-@dataclass(frozen=True)
-class Models:
-    """What the method asks of learned or library models."""
+@dataclass(frozen=True, eq=False)
+class World:
+    """What the pairs so far have taught."""
 
-    flow: FlowEstimator
+    map: WorldMap
+    tracks: Tracks
+    odometry: Odometry | None = None
 
 
-def step(pair: FramePair, models: Models, s: Settings, observe: Observe = unseen) -> Motion:
-    """What this pair shows of motion."""
+def empty_world(s: Settings) -> World:
+    """Nothing yet."""
+    return World(empty_map(s.map), Tracks())
+
+
+def step(pair: FramePair, world: World, models: Models, s: Settings, observe: Observe = unseen) -> World:
+    """What this pair teaches."""
     flow = observe(estimate_flow(pair, models.flow))
+    segments = observe(models.segment(pair.first))
     matches = observe(match(pair, flow, s.gate, s.noise))
     ego = observe(refine_ego(matches, s.ego, randomness(s.seed, pair)))
-    return observe(measure_motion(matches, ego))
+    motion = observe(measure_motion(matches, ego))
+    odometry = observe(locate(pair, ego, world.odometry))
+    sightings = observe(aggregate(pair, segments, motion, ego, odometry, s.objects))
+    features = observe(Features(models.embed.regions(pair.first, segments)))
+    tracked = observe(associate(sightings, features, world.tracks, pair.first.stamp_ns, s.tracks))
+    tracks = remember(world.tracks, tracked, pair, flow, s.tracks)
+    if not ego.reliable:  # told by ``ego``; nothing of it enters the map
+        return World(world.map, tracks, odometry)
+    background = seen_background(pair, motion, odometry, s.map.voxel_m)
+    return World(observe(fuse(update(world.map, tracked, background), models.prior, s.map)), tracks, odometry)
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 import pytest
 from hypothesis import settings
+
 from tum_folder import write_tum_folder
 
 settings.register_profile("unhurried", deadline=None)

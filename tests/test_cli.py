@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from tum_folder import ORIGIN_NS, png, rows, write_tum_folder
 
 STILL = rows([ORIGIN_NS - 10**8 + k * 10**8 for k in range(9)], ["0 0 0 0 0 0 1"] * 9)

@@ -1,13 +1,16 @@
 """The whole run: the seam, the recording, interruption."""
 
+import json
+
 import numpy as np
 import pytest
 
 import render_room
 import vlmm_log
+from vlmm_log.elements import Sightings, Tracked, WorldMap
 from vlmm_log.pipeline.matches import Matches
 from vlmm_log.sinks.memory import Memory
-from vlmm_log.types import Ego, FlowField, FramePair, InputError, Motion, Skipped
+from vlmm_log.types import Ego, Features, FlowField, FramePair, InputError, Motion, Odometry, Segments, Skipped
 
 IMAGE = "/world/camera/image"
 PER_PAIR = [
@@ -17,7 +20,12 @@ PER_PAIR = [
     *(f"{IMAGE}/residual/{p}" for p in ("d_m", "norm", "sigma_z", "p_stat", "vectors", "covariance")),
     *(f"/stats/{p}" for p in ("inlier_share", "ego_rotation", "ego_translation", "median_d_m", "valid_share")),
     *(f"/stats/{p}" for p in ("flagged_share", "spread", "row_rotation", "row_translation", "median_residual")),
-    *(f"/stats/stage_ms/{p}" for p in ("flow", "matches", "ego", "motion")),
+    *(
+        f"/stats/stage_ms/{p}"
+        for p in ("flow", "matches", "ego", "motion", "segments", "aggregate", "associate", "map")
+    ),
+    *(f"{IMAGE}/{p}" for p in ("instances", "boxes")),
+    *(f"/world/map/{p}" for p in ("observations", "elements")),
 ]
 
 
@@ -36,7 +44,8 @@ def test_every_stage_is_seen_once_a_pair_and_in_order(room):
     memory = Memory()
     done = vlmm_log.process(room, sinks=[memory])
     kinds = [type(r) for _, r in memory.seen if not isinstance(r, Skipped)]
-    assert kinds == [FramePair, FlowField, Matches, Ego, Motion] * 4
+    stages = [FlowField, Segments, Matches, Ego, Motion, Odometry, Sightings, Features, Tracked, WorldMap]
+    assert kinds == [FramePair, *stages] * 4
     assert [at.index for at, r in memory.seen if isinstance(r, Motion)] == [0, 1, 2, 3]
     assert done.end == memory.end
     assert (done.end.frames, done.end.pairs, done.end.complete) == (7, 4, True)
@@ -118,8 +127,9 @@ def test_the_recording_tells_settings_versions_and_input(room, tmp_path):
     assert vlmm_log.Settings.load(sets=()).to_toml() == told["vlmm:settings"]
     assert told["vlmm_end:input_hash"] == done.end.input_hash
     assert told["vlmm_end:complete"] is True
-    assert f"vlmm-log {vlmm_log.__version__}" in told["vlmm:versions"]
-    assert "opencv-python-headless" in told["vlmm:versions"]
+    versions = json.loads(told["vlmm:versions"])
+    assert versions["vlmm-log"] == vlmm_log.__version__
+    assert {"opencv-python-headless", "movability table"} <= versions.keys()
 
 
 def test_interrupted_runs_leave_a_readable_partial(room, tmp_path):

@@ -10,8 +10,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation, Slerp
-from tum_folder import ORIGIN_NS, png, rows
 
+from tum_folder import ORIGIN_NS, png, rows
 from vlmm_log.readers import bonn, open_log, recognise
 from vlmm_log.readers.poses import trajectory
 from vlmm_log.readers.stamps import associate, seconds_to_ns

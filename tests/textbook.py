@@ -130,3 +130,46 @@ def round_trip(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     top = (1 - ax) * backward[y0, x0] + ax * backward[y0, x0 + 1]
     bottom = (1 - ax) * backward[y0 + 1, x0] + ax * backward[y0 + 1, x0 + 1]
     return np.where(inside, np.linalg.norm(forward + (1 - ay) * top + ay * bottom, axis=-1), np.nan)
+
+
+def aggregate(pair, segments, motion, s) -> list[dict[str, object]]:
+    """What a pair shows of each instance, mask by mask in float64 (paper, Eqs. 9 to 11)."""
+    rows = []
+    K = pair.first.K
+    for k in range(len(segments)):
+        mask = segments.labels == k + 1
+        scored = mask & np.isfinite(motion.d_m)
+        d, m = motion.d_m[scored].astype(float), motion.residual[:, scored].astype(float)
+        unit = m / np.where(np.linalg.norm(m, axis=0) > 0, np.linalg.norm(m, axis=0), 1.0)
+        above = d > motion.tau_px
+        n = max(d.size, 1)
+        gamma_all = np.linalg.norm(unit.sum(axis=1)) / n
+        gamma = np.linalg.norm(unit[:, above].sum(axis=1)) / max(above.sum(), 1)
+        phi = above.sum() / n
+        coherence = gamma if s.coherence == "flagged" else gamma_all
+        v, u = np.nonzero(mask & np.isfinite(pair.first.depth))
+        z = pair.first.depth[v, u].astype(float)
+        row = {"pixels": mask.sum(), "scored": d.size, "phi": phi, "gamma": coherence, "gamma_all": gamma_all}
+        row |= {"kappa": phi * coherence, "o": np.quantile(d, s.quantile) if d.size else np.nan}
+        row["part"] = _part(mask, motion) / max(mask.sum(), 1)
+        row["drift"] = m[:, above].mean(axis=1) if above.any() else np.zeros(3)
+        if z.size:
+            low, high = np.quantile(z, [0.25, 0.75])
+            reach = 1.5 * (high - low) + 0.02
+            kept = (z >= low - reach) & (z <= high + reach)
+            X = back_project(K, np.stack([u, v], axis=1)[kept].astype(float), z[kept])
+            row |= {"mean": X.mean(axis=0), "cov": np.cov(X.T, bias=True).reshape(3, 3)}
+        rows.append(row)
+    return rows
+
+
+def _part(mask: np.ndarray, motion) -> int:
+    """Scored pixels in 16x16 tiles that a mask fills to a quarter with scored pixels, most of them above tau_px."""
+    total = 0
+    for v in range(0, mask.shape[0], 16):
+        for u in range(0, mask.shape[1], 16):
+            d = motion.d_m[v : v + 16, u : u + 16][mask[v : v + 16, u : u + 16]]
+            d = d[np.isfinite(d)]
+            if d.size >= 64 and (d > motion.tau_px).sum() > d.size / 2:
+                total += d.size
+    return total

@@ -8,12 +8,19 @@ from vlmm_log.version import __version__
 
 if TYPE_CHECKING:
     from vlmm_log.api import process
+    from vlmm_log.ask import load_map, query
     from vlmm_log.readers import open_log
     from vlmm_log.settings import Settings
 
-__all__ = ["Settings", "__version__", "open_log", "process"]
+__all__ = ["Settings", "__version__", "load_map", "open_log", "process", "query"]
 
-_HOME = {"Settings": "vlmm_log.settings", "open_log": "vlmm_log.readers", "process": "vlmm_log.api"}
+_HOME = {
+    "Settings": "vlmm_log.settings",
+    "load_map": "vlmm_log.ask",
+    "open_log": "vlmm_log.readers",
+    "process": "vlmm_log.api",
+    "query": "vlmm_log.ask",
+}
 
 
 def __getattr__(name: str) -> Any:  # so that a name costs its imports only when it is used

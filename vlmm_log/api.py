@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -12,15 +11,19 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vlmm_log.ask import Questions, parse
 from vlmm_log.interrupt import Interruption
-from vlmm_log.pipeline.run import Models, Tally, expected_pairs, keyframe_pairs, step
-from vlmm_log.protocols import Log, Moment, Progress, Sink
+from vlmm_log.maps import MAP_SUFFIXES, SavedMap, save_map
+from vlmm_log.models.load import load_models
+from vlmm_log.pipeline.run import Tally, empty_world, expected_pairs, keyframe_pairs, step
+from vlmm_log.protocols import Log, Models, Moment, Progress, Sink
+from vlmm_log.queries import Answer
 from vlmm_log.readers import recognise
 from vlmm_log.readers.stamps import limit_ns
-from vlmm_log.settings import FlowSettings, Settings
+from vlmm_log.settings import Settings
 from vlmm_log.sinks.many import Many, watched_by
 from vlmm_log.sinks.summary import Summary
-from vlmm_log.types import InputError, Run, RunEnd, Skipped
+from vlmm_log.types import Float64, FramePair, InputError, Run, RunEnd, Skipped
 from vlmm_log.version import __version__
 
 if TYPE_CHECKING:
@@ -37,12 +40,16 @@ class Processed:
     end: RunEnd
     outputs: tuple[Path, ...]  # as they lie on disk: ``NAME.partial`` if the run was interrupted
     summary: Summary
+    map: SavedMap
+    answers: tuple[Answer, ...]  # of the queries, over the whole map
 
 
 def process(
     source: str | Path,
     *,
     rrd: str | Path | None = None,
+    map: str | Path | None = None,  # noqa: A002  the option's name
+    queries: Sequence[str] = (),
     settings: Settings | None = None,
     sinks: Sequence[Sink] = (),
     force: bool = False,
@@ -50,9 +57,10 @@ def process(
 ) -> Processed:
     """Run the method on every keyframe pair of a log and show each intermediate result to the sinks.
 
-    With ``rrd`` a Rerun recording is written beside and renamed once complete; an existing one is replaced
-    only with ``force``. Ctrl-C ends the run early and keeps what was written. Raises InputError where the
-    source, the settings or the output cannot be used, and where no pair could be processed.
+    With ``rrd`` a Rerun recording is written beside and renamed once complete, with ``map`` a map file (.json,
+    .parquet, .ply); existing ones are replaced only with ``force``. Each query is answered at every pair and over the
+    whole map. Ctrl-C ends the run early and keeps the recording; a map file is of whole runs only. Raises InputError
+    where the source, the settings, a query or an output cannot be used, and where no pair could be processed.
     """
     s = settings or Settings()
     source = Path(source)
@@ -60,63 +68,47 @@ def process(
     log = reader.open(source, s.read)
     if s.ego.model == "off" and not log.has_poses:
         raise InputError(f"{source}: no poses, and ego.model = off needs them; use rigid or row_linear")
+    asked = parse(queries, s)
     expected = expected_pairs(log.count(*_window(s)), s.keyframes)
     target = None if rrd is None else _free(Path(rrd), force)
-    models, versions = load_models(s)
-    run = Run(log.name, reader.name, s.to_toml(), versions, log.has_poses, log.world_up, tuple(log.notes))
+    map_target = None if map is None else _free_map(Path(map), force)
+    models, of_models = load_models(s)
+    run = Run(
+        log.name, reader.name, s.to_toml(), _versions() | of_models, log.has_poses, log.world_up, tuple(log.notes)
+    )
     summary = Summary(noise_scale=s.noise.scale)
     recordings = [] if target is None else [_recording(target, run, s)]
     told = None if progress is None else partial(_tell, progress, expected)
+    watching = _Watching(log, models, s, Questions(asked, models.embed, s.query, s.map, log.world_up))
     try:
-        end = _watch(log, models, s, Many([summary, *sinks, *recordings]), told)
+        end = watching.run(Many([summary, *sinks, *recordings]), told)
     except Exception as e:
         for kept in (r.written for r in recordings if r.written):
             e.add_note(f"what was written until then is kept as {kept}")
         raise
     if not end.pairs and end.complete:
         raise InputError(f"{source}: no pair of frames could be processed{_why(summary)}")
-    return Processed(run, end, tuple(r.written for r in recordings if r.written), summary)
+    saved = SavedMap(watching.world.map, run, end, watching.origin_ns, watching.camera)
+    outputs = [r.written for r in recordings if r.written]
+    if map_target is not None and end.complete:
+        save_map(map_target, saved, force=force)
+        outputs.append(map_target)
+    return Processed(run, end, tuple(outputs), summary, saved, tuple(watching.answers()))
 
 
 def _recording(path: Path, run: Run, s: Settings) -> Rerun:
     from vlmm_log.sinks.rerun import Rerun
 
-    return Rerun(path, run, recording_id=recording_id(run), dense=s.log.dense)
+    return Rerun(path, run, recording_id=run.recording_id, dense=s.log.dense)
 
 
 def _tell(progress: Progress, expected: int, done: int) -> None:
     progress(done, expected)
 
 
-def load_models(s: Settings) -> tuple[Models, dict[str, str]]:
-    """The models that the settings name, and the versions of all that decides the result.
-
-    Raises InputError where a package or weights are missing.
-    """
-    versions = {"vlmm-log": __version__, "python": platform.python_version()}
-    versions |= {name: metadata.version(name) for name in LIBRARIES}
-    if s.flow.estimator == "dis":
-        from vlmm_log.models.dis import Dis
-
-        return Models(Dis(s.flow)), versions
-    return _raft(s.flow, versions)
-
-
-def _raft(s: FlowSettings, versions: dict[str, str]) -> tuple[Models, dict[str, str]]:
-    from vlmm_log.models.weights import find_raft
-
-    find_raft(s.weights)  # before torch, whose import takes seconds
-    from vlmm_log.models.raft import Raft
-
-    raft = Raft(s)
-    extra = {name: metadata.version(name) for name in ("torch", "torchvision")}
-    return Models(raft), versions | extra | {"weights": raft.fingerprint}
-
-
-def recording_id(run: Run) -> str:
-    """The same for the same source, settings and versions, so that equal runs give equal recordings."""
-    text = "\n".join([run.source, *run.notes, run.settings, *(f"{k} {v}" for k, v in sorted(run.versions.items()))])
-    return f"{run.source}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+def _versions() -> dict[str, str]:
+    own = {"vlmm-log": __version__, "python": platform.python_version()}
+    return own | {name: metadata.version(name) for name in LIBRARIES}
 
 
 def _window(s: Settings) -> tuple[int, int]:
@@ -124,35 +116,67 @@ def _window(s: Settings) -> tuple[int, int]:
     return limit_ns(s.read.start_s), limit_ns(s.read.stop_s)
 
 
-def _watch(log: Log, models: Models, s: Settings, sink: Sink, tell: Callable[[int], None] | None) -> RunEnd:
-    """Feed the log to the pipeline and every result to the sink, until the end or Ctrl-C."""
-    tally = Tally()
-    done, complete = 0, False
-    failure: BaseException | None = None
-    try:
-        with Interruption() as interruption, closing(keyframe_pairs(log.frames(*_window(s)), s, tally)) as stream:
-            for item in stream:
-                if interruption.asked:
-                    break
-                if isinstance(item, Skipped):
-                    sink.write(item, Moment(item.stamp_ns, item.index, 0.0))
-                    continue
-                observe = watched_by(sink, item)
-                step(observe(item), models, s, observe)
-                done += 1
-                if tell is not None:
-                    tell(done)
-            else:
-                complete = True
-    except KeyboardInterrupt:
-        pass  # what was written stays, and is marked as incomplete
-    except BaseException as e:
-        failure = e
-        raise
-    finally:
-        end = RunEnd(complete, tally.input_hash(), tally.frames, done)
-        _close(sink, end, failure)
-    return end
+@dataclass
+class _Watching:
+    """A run: the log fed to the pipeline and every result to the sink, until the end or Ctrl-C."""
+
+    log: Log
+    models: Models
+    s: Settings
+    questions: Questions
+    origin_ns: int = 0  # stamp of the first pair
+
+    def __post_init__(self) -> None:
+        self.world = empty_world(self.s)
+        self.tally = Tally()
+        self.done = 0
+
+    @property
+    def camera(self) -> Float64 | None:
+        """Pose of the last pair's first frame."""
+        return None if self.world.odometry is None else self.world.odometry.T_world_first
+
+    def answers(self) -> list[Answer]:
+        """What the queries find in the map so far."""
+        return self.questions.answers(self.world.map.columns, self.camera, self.origin_ns)
+
+    def run(self, sink: Sink, tell: Callable[[int], None] | None) -> RunEnd:
+        """All pairs."""
+        complete = False
+        failure: BaseException | None = None
+        frames = self.log.frames(*_window(self.s))
+        try:
+            with Interruption() as interruption, closing(keyframe_pairs(frames, self.s, self.tally)) as stream:
+                for item in stream:
+                    if interruption.asked:
+                        break
+                    if isinstance(item, Skipped):
+                        sink.write(item, Moment(item.stamp_ns, item.index, 0.0))
+                        continue
+                    self.pair(item, sink)
+                    if tell is not None:
+                        tell(self.done)
+                else:
+                    complete = True
+        except KeyboardInterrupt:
+            pass  # what was written stays, and is marked as incomplete
+        except BaseException as e:
+            failure = e
+            raise
+        finally:
+            end = RunEnd(complete, self.tally.input_hash(), self.tally.frames, self.done)
+            _close(sink, end, failure)
+        return end
+
+    def pair(self, pair: FramePair, sink: Sink) -> None:
+        """One pair, and what the queries find after it."""
+        observe = watched_by(sink, pair)
+        if not self.done:
+            self.origin_ns = pair.first.stamp_ns
+        self.world = step(observe(pair), self.world, self.models, self.s, observe)
+        for found in self.answers():
+            observe(found)
+        self.done += 1
 
 
 def _close(sink: Sink, end: RunEnd, failure: BaseException | None) -> None:
@@ -172,6 +196,12 @@ def _free(path: Path, force: bool) -> Path:
         if taken.exists() and not force:
             raise InputError(f"{taken}: exists; give --force to replace it")
     return path
+
+
+def _free_map(path: Path, force: bool) -> Path:
+    if path.suffix.lower() not in MAP_SUFFIXES:
+        raise InputError(f"{path}: a map is written as {', '.join(MAP_SUFFIXES)}; name it so")
+    return _free(path, force)
 
 
 def _why(summary: Summary) -> str:

@@ -18,7 +18,9 @@ from vlmm_log.version import __version__
 
 if TYPE_CHECKING:
     from vlmm_log.api import Processed
+    from vlmm_log.ask import Found
 
+NOTHING = 1
 INTERRUPTED = 130
 
 
@@ -34,11 +36,16 @@ def cli(debug: bool) -> None:
 )
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--rrd", type=click.Path(path_type=Path), help="Rerun recording to write; SOURCE-name.rrd if not given.")
+@click.option("--map", "map_file", type=click.Path(path_type=Path), help="Map to write: .json, .parquet or .ply.")
+@click.option("--query", "queries", multiple=True, metavar="TEXT", help="Log what it finds at every pair; repeatable.")
 @click.option("--profile", help="default, or paper: what the paper prints.")
 @click.option("--settings", "toml", type=click.Path(path_type=Path), help="TOML file of settings.")
 @click.option("--set", "sets", multiple=True, metavar="A.B=V", help="One setting; repeat as needed.")
 @click.option("--flow", type=click.Choice(["dis", "raft"]), help="Optical flow: dis needs no weights.")
 @click.option("--weights", help="RAFT weights: a file, or a folder with raft*.pth.")
+@click.option("--segmenter", metavar="NAME", help="geometric (default), yolo:FILE.onnx, masks:FOLDER or none.")
+@click.option("--embedder", metavar="NAME", help="words (default), clip or clip:WEIGHTS.")
+@click.option("--prior", metavar="NAME", help="Movability prior: table (default) or llm:URL.")
 @click.option("--gap", metavar="K", help="Distance of a pair: frames (3) or seconds (0.1s).")
 @click.option("--start", type=float, help="Seconds from the log's first frame.")
 @click.option("--stop", type=float, help="Seconds from the log's first frame.")
@@ -49,11 +56,16 @@ def cli(debug: bool) -> None:
 def process(
     source: Path,
     rrd: Path | None,
+    map_file: Path | None,
+    queries: tuple[str, ...],
     profile: str | None,
     toml: Path | None,
     sets: tuple[str, ...],
     flow: str | None,
     weights: str | None,
+    segmenter: str | None,
+    embedder: str | None,
+    prior: str | None,
     gap: str | None,
     start: float | None,
     stop: float | None,
@@ -72,6 +84,9 @@ def process(
     options: dict[str, object] = {
         "flow.estimator": flow,
         "flow.weights": weights,
+        "objects.segmenter": segmenter,
+        "objects.embedder": embedder,
+        "objects.prior": prior,
         "keyframes.gap": int(gap) if gap and len(gap) < 5 and gap.isascii() and gap.isdigit() else gap,
         "read.start_s": start,
         "read.stop_s": stop,
@@ -82,7 +97,7 @@ def process(
     settings = Settings.load(profile, toml, sets, given)
     rrd = rrd or Path(f"{source.resolve().name}.rrd")  # the closing table names it
     with _progress() as progress:
-        done = run(source, rrd=rrd, settings=settings, force=force, progress=progress)
+        done = run(source, rrd=rrd, map=map_file, queries=queries, settings=settings, force=force, progress=progress)
     if as_json:
         click.echo(json.dumps(_report(done), indent=2))
     else:
@@ -91,8 +106,46 @@ def process(
         sys.exit(INTERRUPTED)
 
 
+@cli.command(
+    epilog="Examples: vlmm-log query walking.rrd 'how many chairs moved'; vlmm-log query map.json 'the door that opens'"
+)
+@click.argument("source", metavar="MAP_OR_RRD", type=click.Path(path_type=Path))
+@click.argument("text", metavar="TEXT")
+@click.option("--parser", metavar="NAME", help="default, paper or llm:URL; if not given, the map's own.")
+@click.option("--limit", type=click.IntRange(1), default=20, show_default=True, help="Answers to print.")
+@click.option("--explain", is_flag=True, help="Print how the query was understood, too.")
+@click.option("--rrd", type=click.Path(path_type=Path), help="Write the hits as a recording that opens with the other.")
+@click.option("--grid", type=click.Path(path_type=Path), help="Occupancy grid: .npz, or .yaml with its .pgm for ROS.")
+@click.option("--force", is_flag=True, help="Replace existing outputs.")
+@click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON.")
+def query(
+    source: Path,
+    text: str,
+    parser: str | None,
+    limit: int,
+    explain: bool,
+    rrd: Path | None,
+    grid: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Ask a map or a recording. Exit code 1: nothing answers.
+
+    The grid shows the whole map; its element layers only the answers.
+    """
+    from vlmm_log.ask import find
+
+    found = find(source, text, parser=parser, rrd=rrd, grid=grid, force=force)
+    if as_json:
+        click.echo(json.dumps(found.report(limit), indent=2))
+    else:
+        _print_answer(found, limit, explain)
+    if not found.answer.matches:
+        sys.exit(NOTHING)
+
+
 def main() -> None:
-    """Run the command line. Exit codes: 0 done, 2 cannot be used, 130 interrupted."""
+    """Run the command line. Exit codes: 0 done, 1 the answer is no, 2 cannot be used, 130 interrupted."""
     debug = "--debug" in sys.argv[1:]
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # a damaged image is told by us, once
     try:
@@ -166,9 +219,40 @@ def _report(done: Processed) -> dict[str, object]:
         "frames": done.end.frames,
         "outputs": [str(path) for path in done.outputs],
         "figures": done.summary.figures(),
+        "elements": _elements_line(done),
+        "answers": [
+            {"query": a.text, "matches": a.matches, "ids": a.ids.tolist(), "reasons": list(a.reasons)}
+            for a in done.answers
+        ],
         "skipped": dict(done.summary.skipped),
         "versions": done.run.versions,
     }
+
+
+def _print_answer(found: Found, limit: int, explain: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(markup=False)
+    answer, elements = found.answer, found.elements
+    if explain:
+        console.print(answer.explanation, highlight=False)
+    if answer.returns == "count":
+        console.print(str(answer.matches), highlight=False)
+    elif not answer.matches:
+        console.print(f"nothing in {len(elements)} elements answers {answer.text!r}", highlight=False)
+    if answer.matches:
+        table = Table(title=Text(f"{answer.matches} of {len(elements)} elements"), title_justify="left")
+        for name in ("id", "label", "class", "score", "position m", "why"):
+            table.add_column(name, overflow="fold")
+        for row in found.report(limit)["answers"]:
+            place = " ".join(f"{x:.2f}" for x in row["position"])
+            cells = (row["id"], row["label"], row["motion_class"], f"{row['score']:.2f}", place, row["reason"])
+            table.add_row(*(Text(str(cell)) for cell in cells))
+        console.print(table)
+    for path in found.outputs:
+        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
 ROWS = {  # figure -> what the table calls it, how it is written
@@ -179,12 +263,27 @@ ROWS = {  # figure -> what the table calls it, how it is written
     "static_d_m2_median": ("d_M^2 median (2.366 expected of a still world)", "{:.2f}"),
     "calibrating_noise_scale": ("noise.scale that would make it 2.366", "{:.2f}"),
     "residual_median_m": ("residual median", "{:.4f} m"),
+    "instances": ("instances a frame", "{:.0f}"),
     "ego_inlier_share": ("ego-refinement inliers", "{:.1%}"),
     "flow_ms": ("flow", "{:.1f} ms"),
     "matches_ms": ("noise of the matches", "{:.1f} ms"),
     "ego_ms": ("ego-refinement", "{:.1f} ms"),
     "motion_ms": ("motion channel", "{:.1f} ms"),
+    "segments_ms": ("segmenter", "{:.1f} ms"),
+    "embed_ms": ("embedder", "{:.1f} ms"),
+    "aggregate_ms": ("observations", "{:.1f} ms"),
+    "associate_ms": ("association", "{:.1f} ms"),
+    "map_ms": ("map and fusion", "{:.1f} ms"),
 }
+
+
+def _elements_line(done: Processed) -> str:
+    from collections import Counter
+
+    classes = Counter(e.motion_class.name.lower() for e in done.map.world.elements.values())
+    moved = sum(len(e.intervals) > 0 for e in done.map.world.elements.values())
+    counts = ", ".join(f"{n} {name}" for name, n in sorted(classes.items()))
+    return f"{len(done.map.world.elements)} elements: {counts or 'none'}; {moved} seen to move at some time"
 
 
 def _print_table(done: Processed) -> None:
@@ -204,6 +303,10 @@ def _print_table(done: Processed) -> None:
     for reason, count in sorted(done.summary.skipped.items()):
         table.add_row(Text(f"noted: {reason}"), str(count))
     console.print(table)
+    console.print(_elements_line(done), highlight=False)
+    for found in done.answers:
+        names = ", ".join(f"{i} {done.map.world.elements[i].label}".strip() for i in found.ids[:10].tolist())
+        console.print(f"{found.text!r}: {found.matches} of the map's elements{': ' if names else ''}{names}")
     for note in done.run.notes:
         console.print(f"  {note}", highlight=False)
     for path in done.outputs:

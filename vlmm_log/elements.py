@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.types import Float32, Int32, Int64, UInt8, freeze
+from vlmm_log.types import Float32, Float64, Int32, Int64, Segments, UInt8, freeze
 
 OBSERVATION = np.dtype(
     [
@@ -24,6 +24,7 @@ OBSERVATION = np.dtype(
         ("gamma", np.float32),  # mean resultant length of their residuals' directions
         ("kappa", np.float32),  # reliability, phi * gamma
         ("gamma_all", np.float32),  # mean resultant length over all scored pixels, as the paper prints it
+        ("part", np.float32),  # share of the mask's pixels in patches most of whose pixels are above tau_px
         ("position", np.float32, 3),  # m, world: mean of the mask's points near its median depth
         ("extent", np.float32, 6),  # m^2, covariance of those points: xx, xy, xz, yy, yz, zz, world axes
         ("drift", np.float32, 3),  # m, mean residual of the pixels above tau_px, world axes; 0 if there is none
@@ -32,6 +33,32 @@ OBSERVATION = np.dtype(
 """One row: what one pair shows of one element."""
 
 Observations = NDArray[np.void]  # of dtype OBSERVATION
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """What a pair shows of each instance of its first frame."""
+
+    segments: Segments
+    rows: Observations  # (n,) one an instance
+    boxes: Int32  # (n, 4) px, u and v of the first and the last column and row; the last before the first: no pixel
+    observed: NDArray[np.bool_]  # (n,) enough scored pixels in a reliable pair: an observation for the map
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """Which element each instance is."""
+
+    sightings: Sightings
+    features: Float32  # (n, D)
+    ids: Int64  # (n,)
+    similarity: Float32  # (n,) of the assignment, in [0, 1]; 1 for the source's own identities, 0 for new elements
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 class MotionClass(IntEnum):
@@ -151,7 +178,7 @@ class Elements:
     features: Float32  # (n, D)
     o: Float32  # (n,)
     kappa: Float32
-    rho: Float32
+    rho: Float64  # as the prior gives it: it is compared with a threshold that many share
     motion_class: UInt8  # MotionClass
     confidence: Float32
     p_stat: Float32
@@ -177,8 +204,8 @@ def columns(elements: Iterable[Element]) -> Elements:
     rows = list(elements)
     seen = [e.evidence.observations for e in rows]
 
-    def each(name: str, kind: type = np.float32) -> NDArray[np.generic]:
-        return np.array([getattr(e, name) for e in rows], kind)
+    def each(name: str) -> Float32:
+        return np.array([getattr(e, name) for e in rows], np.float32)
 
     width = rows[0].evidence.feature.size if rows else 0
     return Elements(
@@ -189,8 +216,8 @@ def columns(elements: Iterable[Element]) -> Elements:
         features=np.array([e.evidence.feature for e in rows], np.float32).reshape(len(rows), width),
         o=each("o"),
         kappa=each("kappa"),
-        rho=each("rho"),
-        motion_class=each("motion_class", np.uint8),
+        rho=np.array([e.rho for e in rows], np.float64),
+        motion_class=np.array([e.motion_class for e in rows], np.uint8),
         confidence=each("confidence"),
         p_stat=each("p_stat"),
         score=each("score"),

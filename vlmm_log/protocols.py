@@ -7,9 +7,38 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from vlmm_log.elements import Movability
+from vlmm_log.elements import Movability, Sightings, Tracked, WorldMap
+from vlmm_log.queries import Answer
 from vlmm_log.settings import ReadSettings
-from vlmm_log.types import Float32, Frame, Result, RunEnd, Segments, Skipped
+from vlmm_log.types import (
+    Ego,
+    Features,
+    Float32,
+    FlowField,
+    Frame,
+    FramePair,
+    Motion,
+    Odometry,
+    RunEnd,
+    Segments,
+    Skipped,
+)
+
+Result = (
+    FramePair
+    | Skipped
+    | FlowField
+    | Segments
+    | Ego
+    | Motion
+    | Odometry
+    | Features
+    | Sightings
+    | Tracked
+    | WorldMap
+    | Answer
+)
+"""What a stage, or the stream before it, gives a sink to see."""
 
 R = TypeVar("R")
 

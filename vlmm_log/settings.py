@@ -179,7 +179,13 @@ class MapSettings:
     tau_o: float = knob(1.5, "moving: o above it", low=0)
     kappa_o: float = knob(0.3, "and kappa at least this", low=0, high=1)
     rho_tau: float = knob(0.55, "else movable: movability prior at least this", low=0, high=1)
-    interval_pairs: int = knob(2, "a motion interval needs this many pairs in a row (one if only one was seen)", low=1)
+    part: float = knob(
+        0.1,
+        "or, for an interval alone, a moving part larger than this share of the mask",
+        low=0,
+        high=1,
+    )
+    interval_pairs: int = knob(3, "a motion interval needs this many such pairs in a row (all, if fewer)", low=1)
 
 
 @dataclass(frozen=True)
@@ -244,6 +250,18 @@ class Settings:
             settings = _changed(settings, table, where, "")
         return settings
 
+    @staticmethod
+    def from_toml(text: str, where: str) -> Settings:
+        """Settings of a TOML text, as ``to_toml`` gives it. Raises InputError, which names ``where``."""
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as e:
+            raise InputError(f"{where}: its settings are no TOML: {e}") from e
+        profile = table.get("profile", "default")
+        if profile not in PROFILES:
+            raise InputError(f"{where}: profile {profile!r}: no such profile; there are {', '.join(PROFILES)}")
+        return _changed(PROFILES[profile], table, where, "")
+
     def to_toml(self) -> str:
         """All settings as TOML that ``load`` takes back."""
         tops = [f"{f.name} = {_toml(getattr(self, f.name))}" for f in fields(self) if not _is_table(self, f.name)]
@@ -273,7 +291,7 @@ PROFILES = {
         ),
         ego=EgoSettings(model="rigid", inlier="metric"),
         objects=ObjectSettings(coherence="all"),
-        map=MapSettings(o_unit=1.0, tau_o=0.69, kappa_o=0.05),
+        map=MapSettings(o_unit=1.0, tau_o=0.69, kappa_o=0.05, part=1.0, interval_pairs=1),
         query=QuerySettings(parser="paper"),
     ),
 }

@@ -7,6 +7,7 @@ of a pair lie on the pixel grid of its first frame. Arrays inside these types ar
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
@@ -20,6 +21,7 @@ Float64 = NDArray[np.float64]
 Int32 = NDArray[np.int32]
 Int64 = NDArray[np.int64]
 UInt8 = NDArray[np.uint8]
+UInt16 = NDArray[np.uint16]
 
 CHI2_3_MEDIAN = 2.3659738843753377
 """Median of the chi-square distribution with 3 degrees of freedom: d_M^2 of a still point."""
@@ -211,6 +213,48 @@ class Covariances:
         freeze(self)
 
 
+@dataclass(frozen=True, eq=False)
+class Span:
+    """Camera-to-world poses (4, 4) at two times."""
+
+    start_ns: int
+    stop_ns: int
+    T_start: Float64
+    T_stop: Float64
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """Where the cameras of a pair stood: by the log's poses, else by chained ego-motion from the first frame."""
+
+    pair: Span  # of the pair's frames
+    link: Span  # the chain's last link
+    from_log: bool  # whether the log gave the first frame's pose
+
+    @property
+    def T_world_first(self) -> Float64:
+        """(4, 4) of the pair's first frame."""
+        return self.pair.T_start
+
+    @property
+    def T_world_second(self) -> Float64:
+        """(4, 4) of the pair's second frame."""
+        return self.pair.T_stop
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Semantic features of a frame's instances."""
+
+    vectors: Float32  # (n, D) unit; 0 where nothing is known
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
 @dataclass(frozen=True)
 class Run:
     """What was asked for: enough to do it again."""
@@ -223,6 +267,13 @@ class Run:
     world_up: str  # see protocols.Log
     notes: tuple[str, ...]  # what the reader decided
 
+    @property
+    def recording_id(self) -> str:
+        """The same for the same source, settings and versions, so that equal runs give equal recordings."""
+        versions = (f"{name} {version}" for name, version in sorted(self.versions.items()))
+        text = "\n".join([self.source, *self.notes, self.settings, *versions])
+        return f"{self.source}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+
 
 @dataclass(frozen=True)
 class RunEnd:
@@ -232,7 +283,3 @@ class RunEnd:
     input_hash: str  # SHA-256 over the content of every frame read
     frames: int
     pairs: int
-
-
-Result = FramePair | Skipped | FlowField | Ego | Motion
-"""What a stage, or the stream before it, gives a sink to see."""

@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from vlmm_log.models.weights import find_raft, fingerprint
+from vlmm_log.models.weights import find_raft, fingerprint, reason
 from vlmm_log.settings import FlowSettings
 from vlmm_log.types import Float32, Frame, InputError
 
 try:
     import torch
     from torch.nn import functional
+
+    from vlmm_log.models.torchvision_operators import declare_missing_operators
 except ImportError as e:
     raise InputError("--flow raft needs torch and torchvision: pip install 'vlmm-log[raft]'") from e
 
@@ -73,8 +75,7 @@ def load(path: Path) -> Any:
         state = torch.load(path, map_location="cpu", weights_only=True)
         network.load_state_dict(torchvision_keys(state))
     except Exception as e:
-        first_line = str(e).splitlines()[0][:120]
-        raise InputError(f"{path}: not weights of RAFT large ({first_line})") from e
+        raise InputError(f"{path}: not weights of RAFT large ({reason(e)})") from e
     return network.eval()
 
 
@@ -92,17 +93,8 @@ def torchvision_keys(state: dict[str, Any]) -> dict[str, Any]:
 
 def _raft_large() -> Any:
     try:
+        declare_missing_operators()
         from torchvision.models.optical_flow import raft_large
     except ImportError as e:
         raise InputError("--flow raft needs torchvision: pip install 'vlmm-log[raft]'") from e
-    except RuntimeError as e:
-        if "torchvision::nms" not in str(e):
-            raise
-        # torchvision's compiled operators were built for another torch; RAFT uses none of them
-        library: Any = torch.library.Library("torchvision", "DEF")  # type: ignore[no-untyped-call]
-        library.define("nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
-        library.define("qnms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
-        from torchvision.models.optical_flow import raft_large
-
-        _raft_large.library = library  # type: ignore[attr-defined]  # the schemas live as long as it does
     return raft_large(weights=None)

@@ -13,9 +13,20 @@ def default_blueprint() -> rrb.Blueprint:
     space = rrb.Spatial3DView(
         name="world",
         origin="world",
-        contents=["world", "world/camera", IMAGE, f"{IMAGE}/rgb", f"{IMAGE}/depth"],
+        contents=[
+            "world",
+            "world/camera",
+            IMAGE,
+            f"{IMAGE}/rgb",
+            f"{IMAGE}/depth",
+            "world/map/points",
+            "world/map/elements",
+            "world/map/query/**",
+        ],
     )
-    motion = rrb.Horizontal(_image("d_M", "residual/d_m"), _image("validity", "validity"), _image("flow", "flow/color"))
+    motion = rrb.Horizontal(
+        _image("d_M", "residual/d_m"), _objects(), _image("validity", "validity"), _image("flow", "flow/color")
+    )
     noise = rrb.Horizontal(
         _image("sigma_z", "residual/sigma_z"),
         _image("p_stat", "residual/p_stat"),
@@ -26,6 +37,9 @@ def default_blueprint() -> rrb.Blueprint:
         _image("depth", "depth"), _image("forward-backward error", "flow/fb_error"), _flow_arrows(), name="input"
     )
     numbers = rrb.Tabs(
+        rrb.StateTimelineView(name="elements: class, and moves or still", origin="world/map/elements"),
+        rrb.TimeSeriesView(name="o of elements, sigmas", origin="world/map/elements", contents="$origin/*/o"),
+        rrb.DataframeView(name="map", origin="world/map/elements", contents=["world/map/elements"]),
         rrb.TimeSeriesView(
             name="shares",
             origin="stats",
@@ -39,7 +53,10 @@ def default_blueprint() -> rrb.Blueprint:
         rrb.TextLogView(name="log", origin="log"),
         rrb.TextDocumentView(name="run", origin="run"),
     )
-    rgb = rrb.Spatial2DView(name="rgb", origin=IMAGE, contents=[f"{IMAGE}/rgb", f"{IMAGE}/residual/vectors"])
+    rgb = rrb.Tabs(
+        rrb.Spatial2DView(name="rgb", origin=IMAGE, contents=[f"{IMAGE}/rgb", f"{IMAGE}/residual/vectors"]),
+        rrb.Spatial2DView(name="query hits", origin=IMAGE, contents=[f"{IMAGE}/rgb", f"{IMAGE}/query/**"]),
+    )
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(space, rgb), motion, rrb.Horizontal(rrb.Tabs(noise, more), numbers), row_shares=[3, 2, 2]
@@ -54,6 +71,12 @@ def default_blueprint() -> rrb.Blueprint:
 
 def _image(name: str, path: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(name=name, origin=f"{IMAGE}/{path}")
+
+
+def _objects() -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        name="elements", origin=IMAGE, contents=[f"{IMAGE}/rgb", f"{IMAGE}/instances", f"{IMAGE}/boxes"]
+    )
 
 
 def _flow_arrows() -> rrb.Spatial2DView:

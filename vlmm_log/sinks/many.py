@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from vlmm_log.protocols import Moment, Observe, R, Sink
-from vlmm_log.types import FramePair, Result, RunEnd
+from vlmm_log.protocols import Moment, Observe, R, Result, Sink
+from vlmm_log.types import FramePair, RunEnd
 
 
 class Many:

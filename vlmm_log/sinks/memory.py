@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from vlmm_log.protocols import Moment
-from vlmm_log.types import Result, RunEnd
+from vlmm_log.protocols import Moment, Result
+from vlmm_log.types import RunEnd
 
 
 class Memory:

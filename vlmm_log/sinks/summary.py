@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import median
 
-from vlmm_log.protocols import Moment
-from vlmm_log.types import CHI2_3_MEDIAN, Ego, FlowField, FramePair, Motion, Result, RunEnd, Skipped
+from vlmm_log.protocols import Moment, Result
+from vlmm_log.sinks.stages import stage_of
+from vlmm_log.types import CHI2_3_MEDIAN, Ego, Motion, RunEnd, Segments, Skipped
 
 
 @dataclass
@@ -22,34 +24,34 @@ class Summary:
     static_d_m2: list[float] = field(default_factory=list)
     residual_m: list[float] = field(default_factory=list)  # median norm of a pair's residuals
     inlier_share: list[float] = field(default_factory=list)
+    instances: list[int] = field(default_factory=list)  # segmented in a frame
     stage_ms: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     skipped: Counter[str] = field(default_factory=Counter)  # reason -> count
     end: RunEnd | None = None
 
     def write(self, result: Result, at: Moment) -> None:
         """Take what the closing table needs."""
+        stage = stage_of(result)
+        if stage is not None:
+            self.stage_ms[stage].append(at.elapsed_ms)
         match result:
             case Skipped():
                 self.skipped[result.reason] += 1
-            case FlowField():
-                self.stage_ms["flow"].append(at.elapsed_ms)
+            case Segments():
+                self.instances.append(len(result))
+                self.skipped.update(result.notes)
             case Ego():
-                self.stage_ms["ego"].append(at.elapsed_ms)
                 self.unreliable_pairs += not result.reliable
                 self.inlier_share.append(result.inlier_share)
             case Motion():
                 self.pairs += 1
-                self.stage_ms["motion"].append(at.elapsed_ms)
                 self.coverage.append(result.valid_share)
                 if result.valid_share:
                     self.flagged.append(result.flagged_share)
                     self.static_d_m2.append(result.static_d_m2_median)
                     self.residual_m.append(result.median_norm)
-
-            case FramePair():
-                pass
             case _:
-                self.stage_ms["matches"].append(at.elapsed_ms)
+                pass
 
     def close(self, end: RunEnd) -> None:
         """Keep how the run ended."""
@@ -57,11 +59,12 @@ class Summary:
 
     def figures(self) -> dict[str, float | int]:
         """Medians over pairs, for a table or JSON; what no pair gave is left out."""
-        medians = {
+        medians: dict[str, Sequence[float]] = {
             "coverage": self.coverage,
             "flagged_share": self.flagged,
             "static_d_m2_median": self.static_d_m2,
             "residual_median_m": self.residual_m,
+            "instances": self.instances,
             "ego_inlier_share": [x for x in self.inlier_share if x == x],
             **{f"{stage}_ms": values for stage, values in self.stage_ms.items()},
         }

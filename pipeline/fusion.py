@@ -1,0 +1,79 @@
+"""Attributes of an element from its observations, and the fusion rule (paper, Eqs. 12 and 13)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from vlmm_log.elements import Element, Evidence, MotionClass, Observations, WorldMap
+from vlmm_log.protocols import MovabilityPrior
+from vlmm_log.settings import MapSettings
+from vlmm_log.types import Int64
+
+
+def fuse(world: WorldMap, prior: MovabilityPrior, s: MapSettings) -> WorldMap:
+    """The map with the attributes of its touched elements brought up to date."""
+    elements = dict(world.elements)
+    for i in world.touched:
+        if world.evidence[i].feature_pixels >= s.min_pixels:
+            elements[i] = attributes(world.evidence[i], prior, s)
+    return replace(world, elements=elements)
+
+
+def classify(o: float, kappa: float, rho: float, s: MapSettings) -> tuple[MotionClass, float]:
+    """Motion class and its confidence: reliable observed motion overrides the prior."""
+    if o > s.tau_o and kappa >= s.kappa_o:
+        return MotionClass.MOVING, kappa
+    if rho >= s.rho_tau:
+        return MotionClass.MOVABLE_STATIC, rho
+    return MotionClass.STATIC, 1.0 - rho
+
+
+def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings) -> Element:
+    """What all observations of an element together say."""
+    seen = evidence.observations
+    label = evidence.label
+    movability = prior(label)
+    sigmas = seen["o"].astype(np.float64)
+    kappas = seen["kappa"].astype(np.float64)
+    median = float(np.median(sigmas))
+    o, kappa = median / s.o_unit, float(np.median(kappas))
+    motion_class, confidence = classify(o, kappa, movability.rho, s)
+    moved = (sigmas / s.o_unit > s.tau_o) & (kappas >= s.kappa_o) | (seen["part"] > s.part)
+    weight = float(kappas.sum())
+    return Element(
+        evidence,
+        label,
+        np.median(seen["position"], axis=0),
+        np.median(seen["extent"], axis=0),
+        o,
+        kappa,
+        movability.rho,
+        movability.source,
+        motion_class,
+        confidence,
+        float(chdtrc(3, median**2)),
+        float(kappas @ sigmas) / s.o_unit / weight if weight else 0.0,
+        _speed(seen[moved]),
+        motion_intervals(seen, moved, s.interval_pairs),
+    )
+
+
+def _speed(moved: Observations) -> float:
+    """Median m/s of the observations that moved."""
+    if not moved.size:
+        return 0.0
+    seconds = (moved["second_ns"] - moved["first_ns"]) / 1e9
+    length = np.linalg.norm(moved["drift"].astype(np.float64), axis=1)
+    return float(np.median(length / np.maximum(seconds, 1e-9)))
+
+
+def motion_intervals(seen: Observations, moved: NDArray[np.bool_], pairs: int) -> Int64:
+    """(m, 2) ns: runs of at least ``pairs`` observations in a row that moved; of all, if there are fewer."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], moved, [False]]).astype(np.int8)))
+    runs = edges.reshape(-1, 2)
+    runs = runs[runs[:, 1] - runs[:, 0] >= min(pairs, seen.size)]
+    return np.array([[seen["first_ns"][a], seen["second_ns"][a:b].max()] for a, b in runs], np.int64).reshape(-1, 2)

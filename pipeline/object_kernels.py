@@ -1,0 +1,212 @@
+"""Kernels of aggregation and tracking: one pass over the image for all instances. They call none of another file."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vlmm_log.pipeline.kernels import Camera, jit
+from vlmm_log.types import Float32, Float64, Int32, Int64
+
+f32 = np.float32
+FENCE = f32(1.5)  # Tukey's: depths this many interquartile ranges beyond the quartiles are not the instance's
+SLACK_M = f32(0.02)
+TILE = 16  # px, side of the patches in which a moving part must show
+
+
+@jit
+def count(labels: Int32, depth: Float32, d_m: Float32, counts: Int32, boxes: Int32) -> None:
+    """counts (n, 3): an instance's pixels, those with depth, those scored. boxes (n, 4): u, v of the first and last."""
+    counts[:] = 0
+    boxes[:, 0] = boxes[:, 1] = 1 << 30
+    boxes[:, 2] = boxes[:, 3] = -1
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            k = labels[v, u] - 1
+            if k < 0:
+                continue
+            counts[k, 0] += 1
+            if depth[v, u] == depth[v, u]:
+                counts[k, 1] += 1
+            if d_m[v, u] == d_m[v, u]:
+                counts[k, 2] += 1
+            boxes[k, 0] = min(boxes[k, 0], u)
+            boxes[k, 1] = min(boxes[k, 1], v)
+            boxes[k, 2] = max(boxes[k, 2], u)
+            boxes[k, 3] = v
+
+
+@jit
+def gather(
+    labels: Int32,
+    depth: Float32,
+    d_m: Float32,
+    residual: Float32,
+    tau: np.float32,
+    starts: Int64,
+    pixels: Int32,
+    depths: Float32,
+    scores: Float32,
+    sums: Float64,
+) -> None:
+    """Sort depths, their pixels and scores by instance from ``starts`` (n, 2) on, and sum the residuals.
+
+    sums (n, 10): pixels above tau; unit residuals of those (3), of all scored (3); residuals of those above (3).
+    """
+    at = starts.copy()
+    sums[:] = 0.0
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            k = labels[v, u] - 1
+            if k < 0:
+                continue
+            z, d = depth[v, u], d_m[v, u]
+            if z == z:
+                depths[at[k, 0]] = z
+                pixels[at[k, 0]] = v * labels.shape[1] + u
+                at[k, 0] += 1
+            if d == d:
+                scores[at[k, 1]] = d
+                at[k, 1] += 1
+                x, y, w = residual[0, v, u], residual[1, v, u], residual[2, v, u]
+                norm = np.sqrt(x * x + y * y + w * w)
+                scale = f32(1) / norm if norm > f32(0) else f32(0)
+                sums[k, 4] += x * scale
+                sums[k, 5] += y * scale
+                sums[k, 6] += w * scale
+                if d > tau:
+                    sums[k, 0] += 1.0
+                    sums[k, 1] += x * scale
+                    sums[k, 2] += y * scale
+                    sums[k, 3] += w * scale
+                    sums[k, 7] += x
+                    sums[k, 8] += y
+                    sums[k, 9] += w
+
+
+@jit
+def parts(labels: Int32, d_m: Float32, tau: np.float32, out: Int32) -> None:
+    """out (n,): scored pixels of each instance in tiles that it fills to a quarter and in which most are above tau.
+
+    A part that moves is a patch; false flags are thin strips along borders.
+    """
+    out[:] = 0
+    scored, flagged = np.empty(out.size, np.int32), np.empty(out.size, np.int32)
+    for top in range(0, labels.shape[0], TILE):
+        for left in range(0, labels.shape[1], TILE):
+            scored[:] = 0
+            flagged[:] = 0
+            for v in range(top, min(top + TILE, labels.shape[0])):
+                for u in range(left, min(left + TILE, labels.shape[1])):
+                    k = labels[v, u] - 1
+                    d = d_m[v, u]
+                    if k >= 0 and d == d:
+                        scored[k] += 1
+                        if d > tau:
+                            flagged[k] += 1
+            for k in range(out.size):
+                if 4 * scored[k] >= TILE * TILE and 2 * flagged[k] > scored[k]:
+                    out[k] += scored[k]
+
+
+@jit
+def quantiles(values: Float32, starts: Int64, share: np.float32, out: Float32) -> None:
+    """The quantile of each run ``values[starts[k]:starts[k + 1]]``, linear between neighbours; NaN of an empty one.
+
+    Reorders the values within their runs.
+    """
+    for k in range(starts.size - 1):
+        lo, hi = starts[k], starts[k + 1] - 1
+        if hi < lo:
+            out[k] = np.nan
+            continue
+        place = np.float64(share) * np.float64(hi - lo)
+        rank = lo + np.int64(np.floor(place))
+        a, b = lo, hi
+        while a < b:  # Hoare's selection
+            pivot = values[(a + b) // 2]
+            i, j = a, b
+            while i <= j:
+                while values[i] < pivot:
+                    i += 1
+                while values[j] > pivot:
+                    j -= 1
+                if i <= j:
+                    values[i], values[j] = values[j], values[i]
+                    i += 1
+                    j -= 1
+            if rank <= j:
+                b = j
+            elif rank >= i:
+                a = i
+            else:
+                break
+        here = values[rank]
+        rest = f32(place - np.floor(place))
+        if rest > f32(0):
+            following = np.inf
+            for i in range(rank + 1, hi + 1):
+                following = min(following, values[i])
+            here += rest * (f32(following) - here)
+        out[k] = here
+
+
+@jit
+def shapes(
+    depth: Float32, pixels: Int32, starts: Int64, fences: Float32, camera: Camera, mean: Float64, cov: Float64
+) -> None:
+    """Mean (n, 3) m and covariance (n, 6) m^2 of the points whose depth lies within the fences (n, 2); NaN if none."""
+    width = depth.shape[1]
+    flat = depth.ravel()
+    total = np.zeros(9)
+    for k in range(starts.size - 1):
+        total[:] = 0.0
+        m = 0
+        for i in range(starts[k], starts[k + 1]):
+            p = pixels[i]
+            z = flat[p]
+            if z < fences[k, 0] or z > fences[k, 1]:
+                continue
+            x = (f32(p % width) - camera.cx) / camera.fx * z
+            y = (f32(p // width) - camera.cy) / camera.fy * z
+            m += 1
+            total[0] += x
+            total[1] += y
+            total[2] += z
+            total[3] += x * x
+            total[4] += x * y
+            total[5] += x * z
+            total[6] += y * y
+            total[7] += y * z
+            total[8] += z * z
+        if m == 0:
+            mean[k], cov[k] = np.nan, np.nan
+            continue
+        a, b, c = total[0] / m, total[1] / m, total[2] / m
+        mean[k, 0], mean[k, 1], mean[k, 2] = a, b, c
+        cov[k, 0], cov[k, 1], cov[k, 2] = total[3] / m - a * a, total[4] / m - a * b, total[5] / m - a * c
+        cov[k, 3], cov[k, 4], cov[k, 5] = total[6] / m - b * b, total[7] / m - b * c, total[8] / m - c * c
+
+
+@jit
+def carried_overlap(before: Int32, flow: Float32, share: np.float32, labels: Int32, areas: Int32, both: Int32) -> None:
+    """Carry an earlier frame's masks by a share of its flow onto a frame's own masks.
+
+    before (H, W): 0 none, i + 1 for mask i. areas (m,): pixels of each that stay in view; both (m, n): pixels that
+    land on each of the n instances of ``labels``.
+    """
+    areas[:] = 0
+    both[:] = 0
+    H, W = labels.shape
+    for v in range(H):
+        for u in range(W):
+            i = before[v, u] - 1
+            if i < 0:
+                continue
+            x = np.int64(np.rint(f32(u) + share * flow[v, u, 0]))
+            y = np.int64(np.rint(f32(v) + share * flow[v, u, 1]))
+            if x < 0 or y < 0 or x >= W or y >= H:
+                continue
+            areas[i] += 1
+            k = labels[y, x] - 1
+            if k >= 0:
+                both[i, k] += 1

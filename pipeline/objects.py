@@ -1,0 +1,105 @@
+"""What a pair shows of each instance: observed motion, reliability, place (paper, Eqs. 9 to 11)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlmm_log.elements import OBSERVATION, Observations, Sightings
+from vlmm_log.pipeline import object_kernels as ok
+from vlmm_log.pipeline.kernels import Camera
+from vlmm_log.settings import ObjectSettings
+from vlmm_log.types import Ego, Float32, Float64, FramePair, Motion, Odometry, Segments
+
+f32 = np.float32
+
+
+def aggregate(
+    pair: FramePair, segments: Segments, motion: Motion, ego: Ego, odometry: Odometry, s: ObjectSettings
+) -> Sightings:
+    """One row an instance. Those of an unreliable pair, or with too few scored pixels, are no observations."""
+    first, n = pair.first, len(segments)
+    counts, boxes = np.empty((n, 3), np.int32), np.empty((n, 4), np.int32)
+    ok.count(segments.labels, first.depth, motion.d_m, counts, boxes)
+    by_depth, by_score = _starts(counts[:, 1]), _starts(counts[:, 2])
+    pixels, depths = np.empty(by_depth[-1], np.int32), np.empty(by_depth[-1], np.float32)
+    scores, sums = np.empty(by_score[-1], np.float32), np.empty((n, 10))
+    starts = np.stack([by_depth[:-1], by_score[:-1]], axis=1)
+    ok.gather(
+        segments.labels,
+        first.depth,
+        motion.d_m,
+        motion.residual,
+        f32(motion.tau_px),
+        starts,
+        pixels,
+        depths,
+        scores,
+        sums,
+    )
+    rows = np.zeros(n, OBSERVATION)
+    rows["first_ns"], rows["second_ns"], rows["index"] = first.stamp_ns, pair.second.stamp_ns, first.index
+    rows["pixels"], rows["scored"] = counts[:, 0], counts[:, 2]
+    rows["o"] = _quantile(scores, by_score, s.quantile)
+    _reliability(rows, sums, s)
+    part = np.empty(n, np.int32)
+    ok.parts(segments.labels, motion.d_m, f32(motion.tau_px), part)
+    rows["part"] = part / np.maximum(counts[:, 0], 1)
+    rows["drift"] = sums[:, 7:] / np.maximum(sums[:, :1], 1) @ _residual_axes(pair, odometry).T
+    mean, cov = _shape(first.depth, pixels, depths, by_depth, first.K)
+    _place(rows, mean, cov, odometry.T_world_first)
+    observed = (rows["scored"] >= s.min_scored) & ego.reliable & np.isfinite(rows["position"]).all(axis=1)
+    return Sightings(segments, rows, boxes, observed)
+
+
+def _starts(counts: NDArray[np.int32]) -> NDArray[np.int64]:
+    return np.concatenate([np.zeros(1, np.int64), np.cumsum(counts, dtype=np.int64)])
+
+
+def _quantile(values: Float32, starts: NDArray[np.int64], share: float) -> Float32:
+    out = np.empty(starts.size - 1, np.float32)
+    ok.quantiles(values, starts, f32(share), out)
+    return out
+
+
+def _reliability(rows: Observations, sums: Float64, s: ObjectSettings) -> None:
+    """phi, gamma and kappa. gamma is 0 where no residual has a direction."""
+    scored, flagged = np.maximum(rows["scored"], 1), sums[:, 0]
+    rows["phi"] = flagged / scored
+    rows["gamma_all"] = np.linalg.norm(sums[:, 4:7], axis=1) / scored
+    over_flagged = np.linalg.norm(sums[:, 1:4], axis=1) / np.maximum(flagged, 1)
+    rows["gamma"] = over_flagged if s.coherence == "flagged" else rows["gamma_all"]
+    rows["kappa"] = rows["phi"] * rows["gamma"]
+
+
+def _shape(
+    depth: Float32, pixels: NDArray[np.int32], depths: Float32, starts: NDArray[np.int64], K: Float64
+) -> tuple[Float64, Float64]:
+    """Mean (n, 3) and covariance (n, 6) in the camera of the points that Tukey's fences on depth keep.
+
+    A mask's border often holds a strip of what lies behind.
+    """
+    low, high = _quantile(depths, starts, 0.25), _quantile(depths, starts, 0.75)
+    reach = ok.FENCE * (high - low) + ok.SLACK_M
+    fences = np.stack([low - reach, high + reach], axis=1)
+    camera = Camera(f32(K[0, 0]), f32(K[1, 1]), f32(K[0, 2]), f32(K[1, 2]))
+    mean, cov = np.empty((starts.size - 1, 3)), np.empty((starts.size - 1, 6))
+    ok.shapes(depth, pixels, starts, fences, camera, mean, cov)
+    return mean, cov
+
+
+def _place(rows: Observations, mean: Float64, cov: Float64, T_world_cam: Float64) -> None:
+    """Position and extent in the world."""
+    R, t = T_world_cam[:3, :3], T_world_cam[:3, 3]
+    rows["position"] = mean @ R.T + t
+    xx, xy, xz, yy, yz, zz = cov.T
+    full = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+    world = R @ full @ R.T
+    rows["extent"] = world.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
+
+
+def _residual_axes(pair: FramePair, odometry: Odometry) -> Float64:
+    """World from the axes of Motion.residual, which are the second camera's where it has no pose."""
+    if pair.second.T_world_cam is not None:
+        return np.eye(3)
+    return odometry.T_world_second[:3, :3]

@@ -1,0 +1,222 @@
+"""Grammar of quantities: numbers with units, time spans, comparisons of a field with a number."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from vlmm_log.pipeline.query_cursor import Cursor
+from vlmm_log.query_tree import AllOf, AnyOf, Compare, Moved, Node, Not, Seen
+
+DIMENSIONS = {
+    **dict.fromkeys(("size_m", "height_m", "distance_m"), "length"),
+    **dict.fromkeys(("moved_s", "first_s", "last_s"), "time"),
+    "speed": "speed",
+}
+LARGEST = 1e9
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number in metres, seconds, m/s or of no unit."""
+
+    value: float
+    dimension: str  # "length", "time", "speed" or ""
+
+
+def quantity(c: Cursor) -> Quantity | None:
+    """A number, with its unit if it has one."""
+    token = c.peek()
+    if token.kind == "clock":
+        c.take()
+        return Quantity(token.number, "time")
+    value = number_here(c)
+    if not value < LARGEST:
+        return None
+    c.take()
+    unit = c.accept("unit")
+    if unit is None:
+        return Quantity(value, "")
+    dimension, factor = unit.split()
+    return Quantity(value * float(factor), dimension)
+
+
+def number_here(c: Cursor) -> float:
+    """The value of a number in digits or words; NaN where there is none."""
+    named = c.value("number")
+    return float(named) if named else c.peek().number if named is not None else math.nan
+
+
+def time_span(c: Cursor) -> tuple[float | None, float | None] | None:
+    """Seconds from "between 10 s and 12 s", "after 3 s", "in the first 2 seconds"; None where there are none."""
+    start = c.at
+    c.skip("stop")
+    span = _span(c, c.accept("time"))
+    if span is None:
+        c.at = start
+    return span
+
+
+def _span(c: Cursor, word: str | None) -> tuple[float | None, float | None] | None:
+    if word in ("between", "from"):
+        return _from_to(c, word)
+    if word in ("after", "before", "at"):
+        t = _seconds(c)
+        spans = {"after": (t, None), "before": (0.0, t), "at": (t, t)}
+        return None if t is None else spans[word]
+    if word in ("in", "within"):
+        c.skip("det")
+        edge = c.accept("edge")
+        t = _seconds(c) if edge else None
+        return None if not t else (0.0, t) if edge == "first" else (-t, None)
+    return None
+
+
+def _from_to(c: Cursor, word: str) -> tuple[float | None, float | None] | None:
+    first = quantity(c)
+    joined = c.accept("conj") == "and" if word == "between" else c.accept("from_", "time") is not None
+    if first and word == "from" and not joined:
+        return (first.value, None) if first.dimension == "time" else None
+    last = quantity(c) if joined else None
+    if not first or not last or last.dimension != "time" or first.dimension not in ("time", ""):
+        return None
+    unit = c.value("unit", -1)  # "between 1 and 2 minutes": the first has the unit of the last
+    t0 = first.value * (float(unit.split()[1]) if unit and not first.dimension else 1.0)
+    return (t0, last.value) if t0 <= last.value else None
+
+
+def _seconds(c: Cursor) -> float | None:
+    t = quantity(c)
+    return t.value if t and t.dimension == "time" else None
+
+
+def within(node: Node, span: tuple[float | None, float | None]) -> Node:
+    """The tree with its motions bound to a time span; where it speaks of none, seen in that span."""
+    bound = _bound(node, Moved(*span))
+    return bound if bound != node else both(node, Seen(*span))
+
+
+def _bound(node: Node, moved: Moved) -> Node:
+    match node:
+        case Moved(None, None):
+            return moved
+        case Not(inner):
+            return Not(_bound(inner, moved))
+        case AllOf(nodes):
+            return AllOf(tuple(_bound(n, moved) for n in nodes))
+        case AnyOf(nodes):
+            return AnyOf(tuple(_bound(n, moved) for n in nodes))
+        case _:
+            return node
+
+
+def both(*nodes: Node) -> Node:
+    """All of them, flat."""
+    flat: list[Node] = []
+    for node in nodes:
+        flat += node.nodes if isinstance(node, AllOf) else [node]
+    unique = tuple(dict.fromkeys(flat))
+    return unique[0] if len(unique) == 1 else AllOf(unique)
+
+
+def either(nodes: list[Node]) -> Node:
+    """Any of them."""
+    unique = tuple(dict.fromkeys(nodes))
+    return unique[0] if len(unique) == 1 else AnyOf(unique)
+
+
+def negated(node: Node) -> Node:
+    """Not the node."""
+    return node.node if isinstance(node, Not) else Not(node)
+
+
+def comparison(c: Cursor) -> Node | None:
+    """ "faster than 1 m/s", "rho above 0.8", "more than 5 observations", "seen at least 3 times", "in 3 frames"."""
+    start = c.at
+    c.accept("having")
+    begin = c.at
+    node = _comparative(c) or _field_first(c, begin) or _number_first(c, begin)
+    if node is None:
+        c.at = start
+    return node
+
+
+def _comparative(c: Cursor) -> Node | None:
+    """ "faster than 1 m/s"."""
+    named = c.accept("comparative")
+    if named is None:
+        return None
+    field, op = named.split()
+    return _checked(field, op, quantity(c))
+
+
+def _field_first(c: Cursor, start: int) -> Node | None:
+    """ "rho above 0.8", "a speed of at least 1 m/s"."""
+    c.at = start
+    c.skip("det")
+    field = c.accept("field")
+    if field is None:
+        return None
+    c.skip("aux", "of", "stop")
+    op = operator(c)
+    return _checked(field, op, quantity(c)) if op else None
+
+
+def _number_first(c: Cursor, start: int) -> Node | None:
+    """ "more than 5 observations", "more than 5 times seen", "seen 5 times"."""
+    c.at = start
+    seen = c.accept("seen")
+    if seen:
+        c.skip("time")
+    op, number = operator(c) or "=", times(c)
+    if number is not None:
+        return Compare("observations", op, number) if seen or c.accept("seen") else None
+    counted = quantity(c)
+    field = c.accept("field")
+    return _checked(field, op, counted) if field and not seen else None
+
+
+def _checked(field: str, op: str, number: Quantity | None) -> Node | None:
+    """The comparison, where the number's unit is one of the field."""
+    if number is None or number.dimension not in ("", DIMENSIONS.get(field, "")):
+        return None
+    return Compare(field, op, number.value)
+
+
+def operator(c: Cursor) -> str | None:
+    """ "at least", "above"; None where there is none."""
+    named = c.accept("op")
+    if named is None and c.value("relation") in ("above", "below"):
+        named = ">" if c.take() and c.value("relation", -1) == "above" else "<"
+    return named
+
+
+def times(c: Cursor) -> float | None:
+    """The number of "5 times", "twice"."""
+    often = c.accept("how_often")
+    if often is not None:
+        return float(often)
+    start = c.at
+    number = quantity(c)
+    if number and not number.dimension and c.accept("times"):
+        return number.value
+    c.at = start
+    return None
+
+
+def after_motion(c: Cursor) -> Node | None:
+    """What a verb of motion is said to have: "faster than 1 m/s", "for more than 3 s", "more than twice"."""
+    start = c.at
+    lasted = c.accept("duration")
+    if lasted:
+        t = _seconds(c)
+        op = {"for": ">=", "longer": ">", "shorter": "<", "least": ">=", "most": "<="}[lasted]
+        node: Node | None = Compare("moved_s", op, t) if t is not None else None
+    elif c.has("comparative") and (c.value("comparative") or "").startswith("speed"):
+        node = _comparative(c)
+    else:
+        op, number = operator(c) or "=", times(c)
+        node = Compare("motions", op, number) if number is not None else None
+    if node is None:
+        c.at = start
+    return node

@@ -1,0 +1,163 @@
+"""The default parser: a recursive-descent grammar over a lexicon, from a text to the filter tree.
+
+It adds to the paper's router what that one lacks: negation, "and" and "or", superlatives, counts, relations and time.
+Every word is accounted for: it is structure (a word of the lexicon that a rule took), part of a name, or it is told in
+``Query.unparsed``. No word falls silently through to semantics.
+
+What is decided here: nouns joined by "and" are a union, clauses an intersection, and "and" binds closer than "or"; a
+clause behind a list of nouns speaks of all of them; "static", "fixed", "stays still" mean the fused class STATIC, a
+negated verb ("never moves") means not seen to move; with "can" or "could" any verb of motion asks for the movability
+prior; a superlative gives one answer for a singular and ranks all for a plural.
+"""
+
+from __future__ import annotations
+
+from vlmm_log.pipeline.query_clauses import NOTHING, Lead, lead, predicates
+from vlmm_log.pipeline.query_cursor import Cursor
+from vlmm_log.pipeline.query_measures import both, either, negated, time_span, within
+from vlmm_log.pipeline.query_nouns import Asked, Phrase, joined, noun_phrases, starts_phrase, without_last_word
+from vlmm_log.pipeline.query_places import ranked_to
+from vlmm_log.pipeline.query_words import also, tokenise
+from vlmm_log.queries import Query
+from vlmm_log.query_tree import MAX_TEXT, AllOf, Node
+from vlmm_log.types import InputError
+
+DEEPEST = 6  # exceptions within exceptions
+
+
+def parse(text: str) -> Query:
+    """The query of an English text. Raises InputError for an empty text and one of over 1000 characters."""
+    if len(text) > MAX_TEXT:
+        raise InputError(f"query: the text has {len(text)} characters; ask in at most {MAX_TEXT}")
+    return read(text)[0]
+
+
+def read(text: str) -> tuple[Query, Cursor]:
+    """The query, and what each token of the text was taken for."""
+    c, asked = Cursor(tokenise(text)), Asked()
+    if not c.tokens:
+        raise InputError("query: the text is empty; say what to look for")
+    _opening(c, asked)
+    span = time_span(c)
+    c.skip("conj") if span else None
+    _opening(c, asked)
+    carried = lead(c, NOTHING) if c.has("aux", "modal") else NOTHING
+    _opening(c, asked)
+    node = _union(c, asked, carried, 0)
+    node = within(node, span) if span else node
+    if node == AllOf() and "word" not in c.roles and not (asked.order or asked.limit or _says(c, "thing")):
+        c.roles = ["unparsed"] * len(c.roles)  # "please show me the": nothing was asked for
+    return Query(node, asked.order, asked.limit, asked.returns, text, c.unparsed()), c
+
+
+def _says(c: Cursor, kind: str) -> bool:
+    return any(also(token, kind) is not None for token in c.tokens)
+
+
+def _opening(c: Cursor, asked: Asked) -> None:
+    while c.has("opener", "stop", "count"):
+        if c.has("count"):
+            asked.returns = "count"
+        c.take()
+
+
+def _union(c: Cursor, asked: Asked, carried: Lead, depth: int) -> Node:
+    """Groups joined by "and" or "or": either way what is of any of them; "and no chairs" takes away."""
+    nodes = [_group(c, asked, carried, depth)[0]]
+    while not c.done:
+        joined(c)
+        node, takes_away = _group(c, asked, NOTHING, depth)
+        nodes = [both(either(nodes), node)] if takes_away else [*nodes, node]
+    return either(nodes)
+
+
+def _group(c: Cursor, asked: Asked, carried: Lead, depth: int) -> tuple[Node, bool]:
+    """Nouns, and all that is said of them; and whether they are taken away ("no chairs", "not the door")."""
+    takes_away = _negates_nouns(c)
+    begin = c.at
+    phrases = noun_phrases(c)
+    if not asked.takes(phrases):
+        c.at, phrases = begin, []
+        c.take("unparsed")  # a second superlative or number
+    if not phrases:
+        c.skip("det")
+    nodes = [either([p.node for p in phrases])] if phrases else []
+    told = _told(c, asked, carried, depth, nodes)
+    if (carried.do or carried.can) and told == nodes and phrases and "word" in c.roles:
+        without_last_word(phrases[-1])  # "did the chair hum": its verb went into the name
+        c.roles[_last_word(c)] = "unparsed"
+        told = [either([p.node for p in phrases])]
+    if phrases and asked.order and asked.limit is None and asked.one and not _plural(phrases):
+        asked.limit = 1
+    if c.at == begin and not c.done:
+        c.take("unparsed")
+    node = both(*told)
+    return (negated(node) if takes_away else node), takes_away
+
+
+def _plural(phrases: list[Phrase]) -> bool:
+    return len(phrases) > 1 or phrases[0].plural
+
+
+def _last_word(c: Cursor) -> int:
+    return max(i for i, role in enumerate(c.roles) if role == "word")
+
+
+def _negates_nouns(c: Cursor) -> bool:
+    value = c.value("neg")
+    if value == "nothing":
+        c.take()
+        return True
+    start = c.at
+    if value == "no" or (value == "not" and not c.has("verb", "still", "movable", "dynamic", ahead=1)):
+        c.take()
+        if starts_phrase(c):
+            return True
+        c.at = start
+    return False
+
+
+def _told(c: Cursor, asked: Asked, carried: Lead, depth: int, nodes: list[Node]) -> list[Node]:
+    """The nodes of nouns and of clauses, relations, times and exceptions behind them, up to the next noun in a list."""
+    nodes = list(nodes)
+    while not c.done:
+        found = _clause(c, asked, carried) or _exception(c, asked, depth)
+        span = None if found else time_span(c)
+        if found:
+            nodes.append(found)
+            carried = NOTHING
+        elif span:
+            nodes = [within(both(*nodes), span)]
+        elif c.has("conj"):
+            break
+        elif not (c.accept("stop", "rel") or ranked_to(c, asked)):
+            c.take("unparsed")
+    return nodes
+
+
+def _clause(c: Cursor, asked: Asked, carried: Lead) -> Node | None:
+    start = c.at
+    c.skip("rel")
+    if c.has("conj") and joined(c) == "and" and starts_phrase(c):
+        c.at = start
+        return None
+    node = predicates(c, asked, carried)
+    if node is None:
+        c.at = start
+        return None
+    return negated(node) if carried.negate else node
+
+
+def _exception(c: Cursor, asked: Asked, depth: int) -> Node | None:
+    """ "except the chairs that moved", "but not tables", "without chairs"."""
+    begins = c.has("except") or c.value("neg") == "without" or c.value("conj") == "but"
+    if not begins or depth >= DEEPEST:
+        return None
+    start = c.at
+    c.take()
+    c.accept("neg")
+    if not starts_phrase(c) and not c.has("verb", "still", "movable", "dynamic"):
+        c.at = start
+        return None
+    node, _ = _group(c, asked, NOTHING, depth + 1)
+    return negated(node)

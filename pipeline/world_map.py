@@ -1,0 +1,152 @@
+"""The persistent map: exact observation lists by element, so that updates commute and maps merge (paper, Eq. 12)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import chain
+from typing import cast
+
+import numpy as np
+
+from vlmm_log.elements import (
+    OBSERVATION,
+    Background,
+    Evidence,
+    Observations,
+    Tracked,
+    WorldMap,
+    empty_background,
+)
+from vlmm_log.settings import MapSettings
+from vlmm_log.types import FramePair, Int64, Motion, Odometry
+
+CLOUD_STRIDE = 8  # every n-th row and column of a frame feeds the background
+CELL_LIMIT = 1 << 20  # voxels to either side of the origin: three coordinates fit one integer
+
+
+def empty_map(s: MapSettings) -> WorldMap:
+    """Nothing seen yet."""
+    return WorldMap({}, {}, empty_background(s.voxel_m))
+
+
+def update(world: WorldMap, tracked: Tracked, background: Background) -> WorldMap:
+    """The map with a pair's observations. ``touched`` names the elements that still need ``fuse``."""
+    sightings = tracked.sightings
+    evidence = dict(world.evidence)
+    touched = []
+    for k in np.flatnonzero(sightings.observed).tolist():
+        element = int(tracked.ids[k])
+        own = Evidence(
+            element,
+            {sightings.segments.names[k]: round(1000 * float(sightings.segments.scores[k]))},
+            sightings.rows[k : k + 1],
+            tracked.features[k],
+            int(sightings.rows["pixels"][k]),
+            int(sightings.rows["index"][k]),
+        )
+        evidence[element] = merge_evidence(evidence[element], own) if element in evidence else own
+        touched.append(element)
+    return WorldMap(evidence, world.elements, merge_backgrounds(world.background, background), tuple(sorted(touched)))
+
+
+def merge(a: WorldMap, b: WorldMap) -> WorldMap:
+    """The map of both's observations. Raises ValueError for different voxels. Needs ``fuse`` for what both hold."""
+    evidence = dict(a.evidence)
+    for element, theirs in b.evidence.items():
+        evidence[element] = merge_evidence(evidence[element], theirs) if element in evidence else theirs
+    both = tuple(sorted(a.evidence.keys() & b.evidence.keys()))
+    elements = dict(a.elements) | {i: e for i, e in b.elements.items() if i not in a.evidence}
+    return WorldMap(evidence, elements, merge_backgrounds(a.background, b.background), both)
+
+
+def merge_evidence(a: Evidence, b: Evidence) -> Evidence:
+    """All that was seen of one element, in time order."""
+    largest = min(a, b, key=lambda e: (-e.feature_pixels, e.feature_index))
+    return Evidence(
+        a.id,
+        _sum(a.votes, b.votes),
+        _in_time_order(a.observations, b.observations),
+        largest.feature,
+        largest.feature_pixels,
+        largest.feature_index,
+    )
+
+
+def _sum(a: Mapping[str, int], b: Mapping[str, int]) -> dict[str, int]:
+    total: dict[str, int] = {}
+    for name, votes in sorted(chain(a.items(), b.items())):
+        total[name] = total.get(name, 0) + votes
+    return total
+
+
+def _in_time_order(a: Observations, b: Observations) -> Observations:
+    """Both lists as one. One row after the last is written into room kept behind the list: no copy of all before."""
+    if a.size and b.size == 1 and _key(b[0]) > _key(a[-1]):
+        return _appended(a, b)
+    joined = np.concatenate([a, b])
+    order = np.lexsort((joined["second_ns"], joined["index"], joined["first_ns"]))
+    return cast("Observations", joined[order])
+
+
+def _key(row: np.void) -> tuple[int, int, int]:
+    return int(row["first_ns"]), int(row["index"]), int(row["second_ns"])
+
+
+def _appended(rows: Observations, row: Observations) -> Observations:
+    room = _room_behind(rows)
+    if room is None:
+        room = np.zeros(max(2 * rows.size, 16), OBSERVATION)
+        room["second_ns"] = FREE
+        room[: rows.size] = rows
+    room[rows.size] = row[0]
+    return room[: rows.size + 1]
+
+
+def _room_behind(rows: Observations) -> Observations | None:
+    """The array that a list is the front of, if its next row is free."""
+    room = rows.base
+    if not isinstance(room, np.ndarray) or room.dtype != OBSERVATION or room.size <= rows.size:
+        return None
+    front = room.__array_interface__["data"] == (rows.__array_interface__["data"][0], False)
+    return room if front and room["second_ns"][rows.size] == FREE else None
+
+
+FREE = np.iinfo(np.int64).min  # second_ns of a row not taken: another map may have grown from the same list
+
+
+def seen_background(pair: FramePair, motion: Motion, odometry: Odometry, voxel_m: float) -> Background:
+    """Voxels of the first frame's pixels that are consistent with standing still."""
+    first, step = pair.first, CLOUD_STRIDE
+    still = motion.d_m[::step, ::step] <= motion.tau_px  # False where NaN
+    v, u = np.nonzero(still)
+    v, u = v * step, u * step
+    z = first.depth[v, u].astype(np.float64)
+    rays = np.linalg.solve(first.K, np.stack([u, v, np.ones_like(u)]).astype(np.float64))
+    T = odometry.T_world_first
+    cells = np.floor((T[:3, :3] @ (rays * z) + T[:3, 3:]).T / voxel_m)
+    inside = (np.abs(cells) < CELL_LIMIT).all(axis=1)
+    sums = np.concatenate([np.ones((u.size, 1), np.int64), first.rgb[v, u].astype(np.int64)], axis=1)
+    return _summed(cells[inside].astype(np.int64), sums[inside], voxel_m)
+
+
+def merge_backgrounds(a: Background, b: Background) -> Background:
+    """Sums of both, voxel by voxel. Raises ValueError for different voxels."""
+    if a.voxel_m != b.voxel_m:
+        raise ValueError(f"voxels of {a.voxel_m} m and {b.voxel_m} m do not merge")
+    if not a.sums.size or not b.sums.size:
+        return a if a.sums.size else b
+    cells = np.concatenate([a.cells, b.cells]).astype(np.int64)
+    return _summed(cells, np.concatenate([a.sums, b.sums]), a.voxel_m)
+
+
+def _summed(cells: Int64, sums: Int64, voxel_m: float) -> Background:
+    """Each voxel once, in lexicographic order."""
+    shifted = cells + CELL_LIMIT
+    keys = (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
+    order = np.argsort(keys, kind="stable")
+    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    return Background(
+        voxel_m,
+        cells[order][starts].astype(np.int32),
+        np.add.reduceat(sums[order], starts, axis=0) if starts.size else sums[:0],
+    )

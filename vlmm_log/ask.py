@@ -1,0 +1,183 @@
+"""Language over maps: the parser that settings name, a query on a map file or a recording, its hits as a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vlmm_log.elements import Elements, MotionClass
+from vlmm_log.pipeline.query import answer
+from vlmm_log.queries import Answer, Query, View
+from vlmm_log.settings import MapSettings, QuerySettings, Settings
+from vlmm_log.types import Float64, InputError
+
+if TYPE_CHECKING:
+    from vlmm_log.maps import SavedMap
+    from vlmm_log.protocols import Embedder
+
+Parser = Callable[[str], Query]
+
+
+@dataclass(frozen=True)
+class Questions:
+    """Queries that were understood, and what answers them."""
+
+    queries: tuple[Query, ...]
+    embed: Embedder
+    s: QuerySettings
+    map_settings: MapSettings
+    up: str  # axis of the world that points up
+
+    def answers(self, elements: Elements, T_world_cam: Float64 | None, origin_ns: int) -> list[Answer]:
+        """Each query's answer, as seen from a camera."""
+        view = View(T_world_cam, self.up, origin_ns)
+        texts, theta_s = self.embed.texts, self.embed.threshold
+        return [answer(q, elements, texts, self.s, self.map_settings, view, theta_s) for q in self.queries]
+
+
+def parse(texts: Sequence[str], s: Settings) -> tuple[Query, ...]:
+    """The queries that texts ask, each text once.
+
+    Raises InputError where one holds words that the parser does not understand: a query is never answered in part.
+    """
+    parser = load_parser(s) if texts else None
+    queries = tuple(parser(text) for text in dict.fromkeys(texts)) if parser else ()
+    for query in queries:
+        if query.unparsed:
+            words = ", ".join(repr(word) for word in query.unparsed)
+            raise InputError(f"query {query.text!r}: not understood: {words}; leave it out or say it otherwise")
+    return queries
+
+
+def load_parser(s: Settings) -> Parser:
+    """The parser of ``query.parser``. Raises InputError for an unknown one."""
+    kind, _, url = s.query.parser.partition(":")
+    if s.query.parser == "default":
+        from vlmm_log.pipeline.query_parser import parse as default
+
+        return default
+    if s.query.parser == "paper":
+        from vlmm_log.pipeline.query_router import route
+
+        return route
+    if kind == "llm" and url:
+        from vlmm_log.models.endpoint import Endpoint
+        from vlmm_log.models.llm_parser import LlmParser
+
+        return LlmParser(Endpoint(url, s.objects.llm_model))
+    raise InputError(f"query.parser {s.query.parser!r}: no such parser; it is default, paper or llm:URL")
+
+
+def load_map(path: str | Path) -> SavedMap:
+    """The map of a map file (.json, .parquet) or a recording (.rrd). Raises InputError where it is neither."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a map (.json, .parquet) or a recording (.rrd)")
+    if _is_recording(path):
+        from vlmm_log.recording import read_map
+
+        return read_map(path)
+    from vlmm_log import maps
+
+    return maps.load_map(path)
+
+
+def _is_recording(path: Path) -> bool:
+    return path.name.endswith((".rrd", ".rrd.partial"))
+
+
+def query(source: str | Path | SavedMap, text: str, *, parser: str | None = None) -> Answer:
+    """Elements of a map or recording that a text asks for, the best first, each with its reason.
+
+    ``parser`` replaces that of the map's settings. Raises InputError where the source cannot be read or the text is
+    not understood.
+    """
+    saved = load_map(source) if isinstance(source, str | Path) else source
+    return _ask(saved, text, parser)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the ``query`` command leaves."""
+
+    answer: Answer
+    elements: Elements
+    outputs: tuple[Path, ...]
+
+    def report(self, limit: int) -> dict[str, Any]:
+        """The answer with field values, ready for JSON."""
+        rows = np.searchsorted(self.elements.ids, self.answer.ids[:limit])
+        answers = [
+            {
+                "id": int(self.elements.ids[r]),
+                "label": self.elements.labels[r],
+                "score": float(self.answer.scores[rank]),
+                "reason": self.answer.reasons[rank],
+                "position": self.elements.positions[r].tolist(),
+                "motion_class": MotionClass(self.elements.motion_class[r]).name.lower(),
+                "confidence": float(self.elements.confidence[r]),
+                "o": float(self.elements.o[r]),
+                "kappa": float(self.elements.kappa[r]),
+                "rho": float(self.elements.rho[r]),
+                "intervals_ns": self.elements.intervals[self.elements.interval_rows == r].tolist(),
+            }
+            for rank, r in enumerate(rows.tolist())
+        ]
+        a = self.answer
+        return {
+            "query": a.text,
+            "explanation": a.explanation,
+            "returns": a.returns,
+            "matches": a.matches,
+            "answers": answers,
+            "outputs": [str(path) for path in self.outputs],
+        }
+
+
+def find(
+    source: str | Path,
+    text: str,
+    *,
+    parser: str | None = None,
+    rrd: Path | None = None,
+    grid: Path | None = None,
+    force: bool = False,
+) -> Found:
+    """``query``, with its hits as a recording that opens together with the source's, and as an occupancy grid.
+
+    Raises InputError as ``query`` does, and where an output cannot be written.
+    """
+    saved = load_map(source)
+    found = _ask(saved, text, parser)
+    outputs = []
+    if grid is not None:
+        from vlmm_log.maps.grid import save_grid
+        from vlmm_log.maps.occupancy import GridSettings, occupancy
+
+        save_grid(grid, occupancy(saved, GridSettings(), found.ids.tolist()), force=force)
+        outputs.append(grid)
+    if rrd is not None:
+        from vlmm_log.maps.output import replacing
+        from vlmm_log.recording import read_masks
+        from vlmm_log.sinks.hits import write_hits
+
+        masks = read_masks(Path(source)) if _is_recording(Path(source)) else ()
+        with replacing(rrd, force=force) as (partial,):
+            write_hits(partial, saved.world.columns, found, saved.run.recording_id, masks)
+        outputs.append(rrd)
+    return Found(found, saved.world.columns, tuple(outputs))
+
+
+def _ask(saved: SavedMap, text: str, parser: str | None) -> Answer:
+    from vlmm_log.models.embedders import load_embedder
+
+    s = Settings.from_toml(saved.run.settings, saved.run.source)
+    s = s if parser is None else replace(s, query=replace(s.query, parser=parser))
+    queries = parse([text], s)
+    embed, _ = load_embedder(s.objects)
+    questions = Questions(queries, embed, s.query, s.map, saved.run.world_up)
+    return questions.answers(saved.world.columns, saved.T_world_cam, saved.origin_ns)[0]
