@@ -21,13 +21,14 @@ import numpy as np
 
 from benchmarks.data import SLICE, frames
 from vlmm_log.models.dis import Dis
+from vlmm_log.models.load import load_models
 from vlmm_log.pipeline import flow_kernels, kernels
 from vlmm_log.pipeline.ego import as_rows, refine_ego, row_transforms
 from vlmm_log.pipeline.flow import estimate_flow
 from vlmm_log.pipeline.matches import Matches, match
 from vlmm_log.pipeline.motion import measure_motion
-from vlmm_log.pipeline.run import Models, step
-from vlmm_log.protocols import Moment
+from vlmm_log.pipeline.run import empty_world, step
+from vlmm_log.protocols import Models, Moment
 from vlmm_log.settings import Settings
 from vlmm_log.sinks.many import watched_by
 from vlmm_log.types import Ego, FramePair
@@ -73,29 +74,33 @@ def logging_share(pair: FramePair, models: Models, s: Settings) -> tuple[float, 
         run = Run("bench", "bench", s.to_toml(), {}, True, "+z", ())
         sink = Rerun(Path(folder) / "bench.rrd", run, recording_id="bench", dense=False)
         shares, whole = [], []
+        world = empty_world(s)
         for _ in range(20):
             timed = Timed(sink)
             began = time.perf_counter()
             observe = watched_by(timed, pair)  # type: ignore[arg-type]
-            step(observe(pair), models, s, observe)
+            world = step(observe(pair), world, models, s, observe)
             whole.append(1e3 * (time.perf_counter() - began))
             shares.append(timed.ms)
         sink.close(RunEnd(True, "", 2, 20))
     return float(np.median(shares)), float(np.median(whole))
 
 
+def one_pair() -> tuple[str, FramePair]:
+    """A pair three frames apart, of the real slice where it is at hand, else of the rendered room."""
+    if SLICE.exists():
+        logged = frames(SLICE)[15:19]
+        return "real slice", FramePair(logged[0], logged[3])
+    with tempfile.TemporaryDirectory() as folder:
+        render_room.write_tum(Path(folder), 4)
+        logged = frames(Path(folder))
+    return "rendered room", FramePair(logged[0], logged[3])
+
+
 def main() -> None:
     cv2.setNumThreads(1)
     s = Settings()
-    if SLICE.exists():
-        source, logged = "real slice", frames(SLICE)[15:19]
-        pair = FramePair(logged[0], logged[3])
-    else:
-        source = "rendered room"
-        with tempfile.TemporaryDirectory() as folder:
-            render_room.write_tum(Path(folder), 4)
-            logged = frames(Path(folder))
-        pair = FramePair(logged[0], logged[3])
+    source, pair = one_pair()
     dis = Dis(s.flow)
     flow = estimate_flow(pair, dis)
     matches = match(pair, flow, s.gate, s.noise)
@@ -130,7 +135,7 @@ def main() -> None:
         ),
         ("textbook: einsum, inverse, chi2.sf", naive, f"{naive / fused:.0f} times the fused one (at least 100)"),
     ]
-    share, whole = logging_share(pair, Models(dis), s)
+    share, whole = logging_share(pair, load_models(s)[0], s)
     rows.append(("lean logging", share, f"{share / whole:.0%} of the pair's {whole:.0f} ms (at most 25 %)"))
     print(f"{source}, {pair.first.depth.shape[1]}x{pair.first.depth.shape[0]}, one thread, medians")
     for name, ms, note in rows:

@@ -50,15 +50,14 @@ def elements(rng: np.random.Generator) -> Elements:
     moving = rng.random(N) < 0.1
     rows = np.flatnonzero(moving).astype(np.int32)
     begin = rng.integers(0, 60_000_000_000, rows.size)
-    numbers = {
-        name: rng.random(N).astype(np.float32) for name in ("o", "kappa", "rho", "confidence", "p_stat", "score")
-    }
+    numbers = {name: rng.random(N).astype(np.float32) for name in ("o", "kappa", "confidence", "p_stat", "score")}
     return Elements(
         ids=np.arange(N),
         labels=tuple(names[i] for i in label),
         positions=rng.uniform(-50, 50, (N, 3)).astype(np.float32),
         extents=np.full((N, 6), 0.1, np.float32),
         features=text_features(names)[label],
+        rho=rng.random(N),
         motion_class=np.where(moving, 2, rng.integers(2, size=N)).astype(np.uint8),
         speed=np.where(moving, rng.random(N), 0).astype(np.float32),
         observations=rng.integers(1, 50, N).astype(np.int32),

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from vlmm_log.elements import Element, Evidence, MotionClass, Observations, WorldMap
+from vlmm_log.elements import OBSERVATION, Element, Evidence, MotionClass, Observations, WorldMap
 from vlmm_log.protocols import MovabilityPrior
 from vlmm_log.settings import MapSettings
-from vlmm_log.types import Int64
+from vlmm_log.types import Float32, Int64
 
 
 def fuse(world: WorldMap, prior: MovabilityPrior, s: MapSettings) -> WorldMap:
@@ -37,18 +37,18 @@ def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings) -> El
     seen = evidence.observations
     label = evidence.label
     movability = prior(label)
-    sigmas = seen["o"].astype(np.float64)
-    kappas = seen["kappa"].astype(np.float64)
-    median = float(np.median(sigmas))
-    o, kappa = median / s.o_unit, float(np.median(kappas))
+    sigmas, kappas = seen["o"].astype(np.float64), seen["kappa"].astype(np.float64)
+    medians = _medians(seen)
+    median, kappa = float(medians[0]), float(medians[1])
+    o = median / s.o_unit
     motion_class, confidence = classify(o, kappa, movability.rho, s)
     moved = (sigmas / s.o_unit > s.tau_o) & (kappas >= s.kappa_o) | (seen["part"] > s.part)
     weight = float(kappas.sum())
     return Element(
         evidence,
         label,
-        np.median(seen["position"], axis=0),
-        np.median(seen["extent"], axis=0),
+        medians[2:5],
+        medians[5:],
         o,
         kappa,
         movability.rho,
@@ -62,6 +62,25 @@ def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings) -> El
     )
 
 
+def _words(*names: str) -> list[int]:
+    """Where fields of OBSERVATION lie, in units of four bytes."""
+    found: list[int] = []
+    for kind, offset in (OBSERVATION.fields[name][:2] for name in names):  # type: ignore[index]
+        found += range(offset // 4, (offset + kind.itemsize) // 4)
+    return found
+
+
+_MEDIANS = _words("o", "kappa", "position", "extent")
+
+
+def _medians(seen: Observations) -> Float32:
+    """(11,) medians of o, kappa, position and extent over observations, in one partition."""
+    n = seen.size
+    table = np.ascontiguousarray(np.ascontiguousarray(seen).view(np.float32).reshape(n, -1)[:, _MEDIANS].T)
+    table.partition([(n - 1) // 2, n // 2], axis=1)
+    return np.asarray((table[:, (n - 1) // 2] + table[:, n // 2]) * np.float32(0.5))
+
+
 def _speed(moved: Observations) -> float:
     """Median m/s of the observations that moved."""
     if not moved.size:
@@ -73,6 +92,8 @@ def _speed(moved: Observations) -> float:
 
 def motion_intervals(seen: Observations, moved: NDArray[np.bool_], pairs: int) -> Int64:
     """(m, 2) ns: runs of at least ``pairs`` observations in a row that moved; of all, if there are fewer."""
+    if not moved.any():
+        return np.zeros((0, 2), np.int64)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moved, [False]]).astype(np.int8)))
     runs = edges.reshape(-1, 2)
     runs = runs[runs[:, 1] - runs[:, 0] >= min(pairs, seen.size)]

@@ -10,29 +10,57 @@ from vlmm_log.types import Float32, Float64, Int32, Int64
 f32 = np.float32
 FENCE = f32(1.5)  # Tukey's: depths this many interquartile ranges beyond the quartiles are not the instance's
 SLACK_M = f32(0.02)
+SAMPLE = 1024  # depths of an instance, or a few more, tell its place and size
+BINS = 256  # of the histogram that a quantile is looked up in
 TILE = 16  # px, side of the patches in which a moving part must show
 
 
 @jit
-def count(labels: Int32, depth: Float32, d_m: Float32, counts: Int32, boxes: Int32) -> None:
-    """counts (n, 3): an instance's pixels, those with depth, those scored. boxes (n, 4): u, v of the first and last."""
+def count(
+    labels: Int32, depth: Float32, d_m: Float32, tau: np.float32, counts: Int32, parts: Int32, boxes: Int32
+) -> None:
+    """Pixels of each instance. counts (n, 3): all, those with depth, those scored; boxes (n, 4): first and last u, v.
+
+    parts (n,): scored pixels in tiles that the instance fills to a quarter and in which most are above tau. A part
+    that moves is a patch; false flags are thin strips along borders.
+    """
+    n = counts.shape[0]
     counts[:] = 0
+    parts[:] = 0
     boxes[:, 0] = boxes[:, 1] = 1 << 30
     boxes[:, 2] = boxes[:, 3] = -1
-    for v in range(labels.shape[0]):
-        for u in range(labels.shape[1]):
-            k = labels[v, u] - 1
-            if k < 0:
-                continue
-            counts[k, 0] += 1
-            if depth[v, u] == depth[v, u]:
-                counts[k, 1] += 1
-            if d_m[v, u] == d_m[v, u]:
-                counts[k, 2] += 1
-            boxes[k, 0] = min(boxes[k, 0], u)
-            boxes[k, 1] = min(boxes[k, 1], v)
-            boxes[k, 2] = max(boxes[k, 2], u)
-            boxes[k, 3] = v
+    scored, flagged = np.zeros(n, np.int32), np.zeros(n, np.int32)
+    for top in range(0, labels.shape[0], TILE):
+        for left in range(0, labels.shape[1], TILE):
+            end = min(left + TILE, labels.shape[1])
+            for v in range(top, min(top + TILE, labels.shape[0])):
+                u = left
+                while u < end:  # runs of one instance
+                    start, k = u, labels[v, u] - 1
+                    seen = valid = above = 0
+                    while u < end and labels[v, u] - 1 == k:
+                        d = d_m[v, u]
+                        seen += depth[v, u] == depth[v, u]
+                        valid += d == d
+                        above += d > tau
+                        u += 1
+                    if k < 0:
+                        continue
+                    counts[k, 0] += u - start
+                    counts[k, 1] += seen
+                    scored[k] += valid
+                    flagged[k] += above
+                    boxes[k, 0] = min(boxes[k, 0], start)
+                    boxes[k, 1] = min(boxes[k, 1], v)
+                    boxes[k, 2] = max(boxes[k, 2], u - 1)
+                    boxes[k, 3] = max(boxes[k, 3], v)
+            for k in range(n):
+                if scored[k]:
+                    if 4 * scored[k] >= TILE * TILE and 2 * flagged[k] > scored[k]:
+                        parts[k] += scored[k]
+                    counts[k, 2] += scored[k]
+                    scored[k] = 0
+                    flagged[k] = 0
 
 
 @jit
@@ -43,16 +71,20 @@ def gather(
     residual: Float32,
     tau: np.float32,
     starts: Int64,
+    every: Int32,
     pixels: Int32,
     depths: Float32,
     scores: Float32,
     sums: Float64,
 ) -> None:
-    """Sort depths, their pixels and scores by instance from ``starts`` (n, 2) on, and sum the residuals.
+    """Sort scores, and ``every``-th (n,) depths with their pixels, by instance from ``starts`` (n, 2) on.
+
+    And sum the residuals.
 
     sums (n, 10): pixels above tau; unit residuals of those (3), of all scored (3); residuals of those above (3).
     """
     at = starts.copy()
+    left = np.zeros(every.size, np.int32)  # depths to pass over
     sums[:] = 0.0
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
@@ -61,9 +93,12 @@ def gather(
                 continue
             z, d = depth[v, u], d_m[v, u]
             if z == z:
-                depths[at[k, 0]] = z
-                pixels[at[k, 0]] = v * labels.shape[1] + u
-                at[k, 0] += 1
+                if left[k] == 0:
+                    depths[at[k, 0]] = z
+                    pixels[at[k, 0]] = v * labels.shape[1] + u
+                    at[k, 0] += 1
+                    left[k] = every[k]
+                left[k] -= 1
             if d == d:
                 scores[at[k, 1]] = d
                 at[k, 1] += 1
@@ -84,54 +119,50 @@ def gather(
 
 
 @jit
-def parts(labels: Int32, d_m: Float32, tau: np.float32, out: Int32) -> None:
-    """out (n,): scored pixels of each instance in tiles that it fills to a quarter and in which most are above tau.
-
-    A part that moves is a patch; false flags are thin strips along borders.
-    """
-    out[:] = 0
-    scored, flagged = np.empty(out.size, np.int32), np.empty(out.size, np.int32)
-    for top in range(0, labels.shape[0], TILE):
-        for left in range(0, labels.shape[1], TILE):
-            scored[:] = 0
-            flagged[:] = 0
-            for v in range(top, min(top + TILE, labels.shape[0])):
-                for u in range(left, min(left + TILE, labels.shape[1])):
-                    k = labels[v, u] - 1
-                    d = d_m[v, u]
-                    if k >= 0 and d == d:
-                        scored[k] += 1
-                        if d > tau:
-                            flagged[k] += 1
-            for k in range(out.size):
-                if 4 * scored[k] >= TILE * TILE and 2 * flagged[k] > scored[k]:
-                    out[k] += scored[k]
-
-
-@jit
 def quantiles(values: Float32, starts: Int64, share: np.float32, out: Float32) -> None:
     """The quantile of each run ``values[starts[k]:starts[k + 1]]``, linear between neighbours; NaN of an empty one.
 
-    Reorders the values within their runs.
+    A histogram finds the bin that holds it, so that only a few values need sorting out.
     """
+    counts, few = np.empty(BINS, np.int64), np.empty(values.size, np.float32)
     for k in range(starts.size - 1):
-        lo, hi = starts[k], starts[k + 1] - 1
-        if hi < lo:
+        run = values[starts[k] : starts[k + 1]]
+        if run.size == 0:
             out[k] = np.nan
             continue
-        place = np.float64(share) * np.float64(hi - lo)
-        rank = lo + np.int64(np.floor(place))
-        a, b = lo, hi
+        low, high = run[0], run[0]
+        for x in run:
+            low, high = min(low, x), max(high, x)
+        scale = f32(BINS - 1) / (high - low) if high > low else f32(0)
+        counts[:] = 0
+        for x in run:
+            counts[np.int64((x - low) * scale)] += 1
+        place = np.float64(share) * np.float64(run.size - 1)
+        rank = np.int64(np.floor(place))
+        chosen = 0
+        while rank >= counts[chosen]:
+            rank -= counts[chosen]
+            chosen += 1
+        n = 0
+        following = np.inf  # the smallest value of the bins above
+        for x in run:
+            at = np.int64((x - low) * scale)
+            if at == chosen:
+                few[n] = x
+                n += 1
+            elif at > chosen and x < following:
+                following = x
+        a, b = 0, n - 1
         while a < b:  # Hoare's selection
-            pivot = values[(a + b) // 2]
+            pivot = few[(a + b) // 2]
             i, j = a, b
             while i <= j:
-                while values[i] < pivot:
+                while few[i] < pivot:
                     i += 1
-                while values[j] > pivot:
+                while few[j] > pivot:
                     j -= 1
                 if i <= j:
-                    values[i], values[j] = values[j], values[i]
+                    few[i], few[j] = few[j], few[i]
                     i += 1
                     j -= 1
             if rank <= j:
@@ -140,12 +171,10 @@ def quantiles(values: Float32, starts: Int64, share: np.float32, out: Float32) -
                 a = i
             else:
                 break
-        here = values[rank]
-        rest = f32(place - np.floor(place))
+        here, rest = few[rank], f32(place - np.floor(place))
         if rest > f32(0):
-            following = np.inf
-            for i in range(rank + 1, hi + 1):
-                following = min(following, values[i])
+            for i in range(rank + 1, n):
+                following = min(following, few[i])
             here += rest * (f32(following) - here)
         out[k] = here
 

@@ -19,9 +19,11 @@ def aggregate(
 ) -> Sightings:
     """One row an instance. Those of an unreliable pair, or with too few scored pixels, are no observations."""
     first, n = pair.first, len(segments)
-    counts, boxes = np.empty((n, 3), np.int32), np.empty((n, 4), np.int32)
-    ok.count(segments.labels, first.depth, motion.d_m, counts, boxes)
-    by_depth, by_score = _starts(counts[:, 1]), _starts(counts[:, 2])
+    tau = f32(motion.tau_px)
+    counts, parts, boxes = np.empty((n, 3), np.int32), np.empty(n, np.int32), np.empty((n, 4), np.int32)
+    ok.count(segments.labels, first.depth, motion.d_m, tau, counts, parts, boxes)
+    every = np.maximum(counts[:, 1] // ok.SAMPLE, 1)
+    by_depth, by_score = _starts(-(-counts[:, 1] // every)), _starts(counts[:, 2])
     pixels, depths = np.empty(by_depth[-1], np.int32), np.empty(by_depth[-1], np.float32)
     scores, sums = np.empty(by_score[-1], np.float32), np.empty((n, 10))
     starts = np.stack([by_depth[:-1], by_score[:-1]], axis=1)
@@ -30,8 +32,9 @@ def aggregate(
         first.depth,
         motion.d_m,
         motion.residual,
-        f32(motion.tau_px),
+        tau,
         starts,
+        every,
         pixels,
         depths,
         scores,
@@ -42,9 +45,7 @@ def aggregate(
     rows["pixels"], rows["scored"] = counts[:, 0], counts[:, 2]
     rows["o"] = _quantile(scores, by_score, s.quantile)
     _reliability(rows, sums, s)
-    part = np.empty(n, np.int32)
-    ok.parts(segments.labels, motion.d_m, f32(motion.tau_px), part)
-    rows["part"] = part / np.maximum(counts[:, 0], 1)
+    rows["part"] = parts / np.maximum(counts[:, 0], 1)
     rows["drift"] = sums[:, 7:] / np.maximum(sums[:, :1], 1) @ _residual_axes(pair, odometry).T
     mean, cov = _shape(first.depth, pixels, depths, by_depth, first.K)
     _place(rows, mean, cov, odometry.T_world_first)
@@ -75,7 +76,7 @@ def _reliability(rows: Observations, sums: Float64, s: ObjectSettings) -> None:
 def _shape(
     depth: Float32, pixels: NDArray[np.int32], depths: Float32, starts: NDArray[np.int64], K: Float64
 ) -> tuple[Float64, Float64]:
-    """Mean (n, 3) and covariance (n, 6) in the camera of the points that Tukey's fences on depth keep.
+    """Mean (n, 3) and covariance (n, 6) in the camera of the sampled points that Tukey's fences on depth keep.
 
     A mask's border often holds a strip of what lies behind.
     """

@@ -98,7 +98,8 @@ def _scores(order: Order | None, truth: Truth, scene: Scene) -> tuple[Float32, C
     if order is None:
         return truth.strength, lambda row: ""  # noqa: ARG005
     if order.field == "distance_m":
-        distance, name = distances(order.target, scene, truth.yes)
+        targets = None if order.target is None else np.flatnonzero(judge(order.target, scene).yes)
+        distance, name = distances(targets, scene, np.flatnonzero(truth.yes))
         return distance, lambda row: f"{distance[row]:.2f} m from {name(row)}"
     column = values(scene, order.field)
     return np.asarray(column, np.float32), lambda row: f"{order.field} {column[row]:.4g}"

@@ -19,16 +19,14 @@ from vlmm_log.pipeline.query_nouns import Asked, Phrase, joined, noun_phrases, s
 from vlmm_log.pipeline.query_places import ranked_to
 from vlmm_log.pipeline.query_words import also, tokenise
 from vlmm_log.queries import Query
-from vlmm_log.query_tree import MAX_TEXT, AllOf, Node
-from vlmm_log.types import InputError
+from vlmm_log.query_tree import AllOf, Node, refuse, refuse_long
 
 DEEPEST = 6  # exceptions within exceptions
 
 
 def parse(text: str) -> Query:
     """The query of an English text. Raises InputError for an empty text and one of over 1000 characters."""
-    if len(text) > MAX_TEXT:
-        raise InputError(f"query: the text has {len(text)} characters; ask in at most {MAX_TEXT}")
+    refuse_long(text)
     return read(text)[0]
 
 
@@ -36,7 +34,7 @@ def read(text: str) -> tuple[Query, Cursor]:
     """The query, and what each token of the text was taken for."""
     c, asked = Cursor(tokenise(text)), Asked()
     if not c.tokens:
-        raise InputError("query: the text is empty; say what to look for")
+        refuse("the text is empty; say what to look for")
     _opening(c, asked)
     span = time_span(c)
     c.skip("conj") if span else None

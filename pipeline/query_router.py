@@ -13,7 +13,7 @@ from functools import cache
 from importlib.resources import files
 
 from vlmm_log.queries import Query
-from vlmm_log.query_tree import AllOf, Class, Movable, Named, Node
+from vlmm_log.query_tree import AllOf, Class, Movable, Named, Node, refuse_long
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ def route(text: str) -> Query:
     A phrase matches as a substring, as the paper's remark on "could move" implies; so "immovable" holds "movable"
     and routes to the prior.
     """
+    refuse_long(text)
     lowered = " ".join(text.lower().replace("\u2019", "'").split())
     for name, phrases in lists().sets:
         if any(phrase in lowered for phrase in phrases):

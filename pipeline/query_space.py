@@ -82,13 +82,13 @@ def on_side(points: Float32, sizes: Float32, targets: Int64, rows: Int64, way: F
     along = points @ way.astype(np.float32)
     across = points - along[:, None] * way.astype(np.float32)
     which = np.full(len(points), -1, np.int64)
-    usable = targets[np.isfinite(along[targets]) & np.isfinite(sizes[targets])]
+    usable, reach = targets[np.isfinite(along[targets])], np.nan_to_num(sizes) / 2
     open_rows = rows[np.isfinite(along[rows])]
     for row in usable[np.argsort(along[usable], kind="stable")]:  # those that decide most rows come first
         if not open_rows.size or along[open_rows].max() <= along[row]:
             break
         ahead = along[open_rows] - along[row]
-        aside = np.linalg.norm(across[open_rows] - across[row], axis=1) - sizes[row] / 2
+        aside = np.linalg.norm(across[open_rows] - across[row], axis=1) - reach[row]
         holds = (ahead > 0) & (ahead >= aside)
         which[open_rows[holds]] = row
         open_rows = open_rows[~holds]

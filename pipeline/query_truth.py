@@ -14,7 +14,7 @@ from vlmm_log.pipeline.query_explain import SIDES
 from vlmm_log.pipeline.query_scene import Column, Scene, values, window
 from vlmm_log.pipeline.query_space import direction, nearest, on_side, placed
 from vlmm_log.query_tree import AllOf, AnyOf, Class, Compare, Movable, Moved, Named, Near, Node, Not, Seen, Side, walk
-from vlmm_log.types import Float32, Int64
+from vlmm_log.types import Float32, Float64, Int64
 
 Bools = NDArray[np.bool_]
 Why = Callable[[int], str]
@@ -67,8 +67,9 @@ def _crisp(yes: Bools, known: Bools, why: Why) -> Truth:
     return Truth(yes & known, ~yes & known, np.ones(yes.size, np.float32), why)
 
 
-def _graded(yes: Bools, known: Bools, strength: Float32, why: Why) -> Truth:
-    return Truth(yes & known, ~yes & known, np.clip(np.nan_to_num(strength, nan=0.0), 0, 1), why)
+def _graded(yes: Bools, known: Bools, strength: Float32 | Float64, why: Why) -> Truth:
+    clipped = np.clip(np.nan_to_num(strength, nan=0.0), 0, 1).astype(np.float32, copy=False)
+    return Truth(yes & known, ~yes & known, clipped, why)
 
 
 def _all(nodes: tuple[Node, ...], scene: Scene, among: Bools | None) -> Truth:
@@ -106,7 +107,7 @@ def _named(node: Named, scene: Scene) -> Truth:
 
 def _class(node: Class, scene: Scene) -> Truth:
     yes = scene.elements.motion_class == MotionClass[node.motion_class.upper()]
-    strength = np.where(yes, scene.elements.confidence, 0).astype(np.float32)
+    strength = np.where(yes, scene.elements.confidence, 0)
     return _graded(yes, np.ones_like(yes), strength, lambda row: class_why(scene, row))
 
 
@@ -140,7 +141,7 @@ def _moved(node: Moved, scene: Scene) -> Truth:
         return ", ".join([*parts, f"moved {told}" if told else "no motion interval" + ("" if ever else " then")])
 
     with np.errstate(invalid="ignore"):
-        strength = (e.score / (e.score + max(scene.fusion.tau_o, 1e-6))).astype(np.float32)
+        strength = e.score / (e.score + max(scene.fusion.tau_o, 1e-6))
     return _graded(yes | moving if ever else yes, np.ones_like(yes), strength, why)
 
 
@@ -157,7 +158,7 @@ def _seen(node: Seen, scene: Scene) -> Truth:
 
 
 def _movable(scene: Scene) -> Truth:
-    rho, tau = scene.elements.rho, np.float32(scene.fusion.rho_tau)
+    rho, tau = scene.elements.rho, scene.fusion.rho_tau
     yes = rho >= tau
     sources = scene.elements.rho_sources
 
@@ -193,8 +194,9 @@ def _holds(op: str, column: Column, limit: np.floating[Any]) -> Bools:
 
 def _near(node: Near, scene: Scene, among: Bools | None) -> Truth:
     metres = scene.near_m if node.metres is None else node.metres
-    distance, name = distances(node.target, scene, among, metres)
-    known = placed(scene.elements.positions) & ~np.isnan(distance)
+    targets = _targets(node.target, scene)
+    distance, name = distances(targets, scene, _rows(scene, among), metres)
+    known = _related(scene, targets) & ~np.isnan(distance)
 
     def why(row: int) -> str:
         d = float(distance[row])
@@ -203,16 +205,25 @@ def _near(node: Near, scene: Scene, among: Bools | None) -> Truth:
     return _crisp(distance <= metres, known, why)
 
 
-def distances(
-    target: Node | None, scene: Scene, among: Bools | None = None, reach: float = np.inf
-) -> tuple[Float32, Why]:
-    """Metres (n,) to the nearest other element that the target names, or to the camera; inf: none within reach."""
-    if target is None:
+def distances(targets: Int64 | None, scene: Scene, rows: Int64, reach: float = np.inf) -> tuple[Float32, Why]:
+    """Metres (n,) from rows to the nearest other one of the targets, None: to the camera; inf: none within reach."""
+    if targets is None:
         camera = np.asarray(values(scene, "distance_m"), np.float32)
         return camera, lambda row: "the camera"  # noqa: ARG005
-    targets = np.flatnonzero(judge(target, scene).yes)
-    distance, which = nearest(scene.elements.positions, targets, _rows(scene, among), reach)
+    distance, which = nearest(scene.elements.positions, targets, rows, reach)
     return distance, lambda row: scene.name(int(which[row])) if which[row] >= 0 else "any such"
+
+
+def _targets(target: Node | None, scene: Scene) -> Int64 | None:
+    return None if target is None else np.flatnonzero(judge(target, scene).yes)
+
+
+def _related(scene: Scene, targets: Int64 | None) -> Bools:
+    """Where a relation can be decided: what has a position, and is not itself the only target."""
+    known = placed(scene.elements.positions)
+    if targets is not None and targets.size == 1:
+        known[targets] = False
+    return known
 
 
 def _rows(scene: Scene, among: Bools | None) -> Int64:
@@ -220,19 +231,17 @@ def _rows(scene: Scene, among: Bools | None) -> Int64:
 
 
 def _side(node: Side, scene: Scene, among: Bools | None) -> Truth:
-    e = scene.elements
+    targets = _targets(node.target, scene)
+    known = _related(scene, targets)
     way = direction(node.relation, scene.T_world_cam, scene.up, node.target is None)
-    known = placed(e.positions)
-    camera = scene.T_world_cam
-    if way is None or (node.target is None and camera is None):
+    if way is None or (targets is None and scene.T_world_cam is None):
         return _crisp(known, np.zeros_like(known), lambda row: "")  # noqa: ARG005
-    if node.target is None:
-        assert camera is not None
-        ahead = (e.positions - camera[:3, 3].astype(np.float32)) @ way.astype(np.float32)
+    points = scene.elements.positions
+    if targets is None:
+        assert scene.T_world_cam is not None
+        ahead = (points - scene.T_world_cam[:3, 3].astype(np.float32)) @ way.astype(np.float32)
         return _crisp(ahead > 0, known, lambda row: f"{ahead[row]:.2f} m {SIDES[node.relation]} the camera")
-    targets = np.flatnonzero(judge(node.target, scene).yes)
-    sizes = np.asarray(values(scene, "size_m"), np.float32)
-    which = on_side(e.positions, sizes, targets, _rows(scene, among), way)
+    which = on_side(points, np.asarray(values(scene, "size_m"), np.float32), targets, _rows(scene, among), way)
 
     def why(row: int) -> str:
         return f"{SIDES[node.relation]} {scene.name(int(which[row])) if which[row] >= 0 else 'none'}"

@@ -38,7 +38,6 @@ class Carried:
 
     labels: Int32  # (H, W) 0: none; i + 1: instance i
     ids: Int64  # (n,) which element each instance is
-    areas: Int32  # (n,) px
     flow: Float32  # (H, W, 2) px
     first_ns: int
     second_ns: int
@@ -59,7 +58,8 @@ def associate(sightings: Sightings, features: Features, tracks: Tracks, first_ns
     ids = segments.identities.copy()
     similarity = (ids >= 0).astype(np.float32)
     free = np.flatnonzero(ids < 0)
-    known = [i for i in tracks.live if i not in set(ids.tolist())]
+    given = set(ids.tolist())
+    known = [i for i in tracks.live if i not in given]
     if free.size and known:
         score = _similarities(sightings, features, tracks, known, first_ns, s)[:, free]
         for row, column in zip(*linear_sum_assignment(-score), strict=True):
@@ -77,11 +77,12 @@ def remember(tracks: Tracks, tracked: Tracked, pair: FramePair, flow: FlowField,
     rows, segments = tracked.sightings.rows, tracked.sightings.segments
     now = pair.first.stamp_ns
     live = {i: t for i, t in tracks.live.items() if now - t.last_ns <= s.forget_s * 1e9}
-    for k, element in enumerate(tracked.ids.tolist()):
-        if np.isfinite(rows["position"][k]).all():
-            spread = float(np.sqrt(max(rows["extent"][k][[0, 3, 5]].mean(), 0.0)))
-            live[element] = Track(segments.names[k], tracked.features[k], rows["position"][k], spread, now)
-    carried = Carried(segments.labels, tracked.ids, rows["pixels"].copy(), flow.forward, now, pair.second.stamp_ns)
+    placed = np.isfinite(rows["position"]).all(axis=1)
+    spread = np.sqrt(np.maximum(rows["extent"][:, [0, 3, 5]].mean(axis=1), 0.0))
+    for k in np.flatnonzero(placed).tolist():
+        track = Track(segments.names[k], tracked.features[k], rows["position"][k], float(spread[k]), now)
+        live[int(tracked.ids[k])] = track
+    carried = Carried(segments.labels, tracked.ids, flow.forward, now, pair.second.stamp_ns)
     return Tracks(max(tracks.next_id, int(tracked.ids.max(initial=0)) + 1), live, carried)
 
 
@@ -89,7 +90,7 @@ def _similarities(
     sightings: Sightings, features: Features, tracks: Tracks, known: list[int], first_ns: int, s: TrackSettings
 ) -> Float64:
     """(m, n) in [0, 1]: weighted mean of what is known of a pair of element and instance."""
-    overlap, has_overlap = _overlaps(sightings.segments, tracks.carried, known, first_ns)
+    overlap, has_overlap = _overlaps(sightings, tracks.carried, known, first_ns)
     position, has_position = _nearness(sightings, tracks, known, first_ns, s)
     feature, has_feature = _likeness(sightings.segments, features, tracks, known)
     total = np.zeros_like(overlap)
@@ -105,9 +106,10 @@ def _similarities(
 
 
 def _overlaps(
-    segments: Segments, carried: Carried | None, known: list[int], first_ns: int
+    sightings: Sightings, carried: Carried | None, known: list[int], first_ns: int
 ) -> tuple[Float64, NDArray[np.bool_]]:
     """Intersection over union of carried masks and instances (m, n); known where the element was in the last frame."""
+    segments = sightings.segments
     shape = (len(known), len(segments))
     iou, there = np.zeros(shape), np.zeros(shape, np.bool_)
     if carried is None or carried.labels.shape != segments.labels.shape or not carried.ids.size:
@@ -118,8 +120,7 @@ def _overlaps(
     areas = np.empty(carried.ids.size, np.int32)
     both = np.empty((carried.ids.size, len(segments)), np.int32)
     ok.carried_overlap(carried.labels, carried.flow, f32(share), segments.labels, areas, both)
-    own = np.bincount(segments.labels.ravel(), minlength=len(segments) + 1)[1:]
-    union = areas[:, None] + own[None, :] - both
+    union = areas[:, None] + sightings.rows["pixels"][None, :] - both
     ratio = both / np.maximum(union, 1)
     place = {element: row for row, element in enumerate(known)}
     for i, element in enumerate(carried.ids.tolist()):

@@ -103,12 +103,12 @@ def _appended(rows: Observations, row: Observations) -> Observations:
 
 
 def _room_behind(rows: Observations) -> Observations | None:
-    """The array that a list is the front of, if its next row is free."""
+    """The array that a list is the front of, if its next row is free: rows are taken from the front, so no other
+    view of this size ends there."""
     room = rows.base
     if not isinstance(room, np.ndarray) or room.dtype != OBSERVATION or room.size <= rows.size:
         return None
-    front = room.__array_interface__["data"] == (rows.__array_interface__["data"][0], False)
-    return room if front and room["second_ns"][rows.size] == FREE else None
+    return room if room.flags.writeable and room["second_ns"][rows.size] == FREE else None
 
 
 FREE = np.iinfo(np.int64).min  # second_ns of a row not taken: another map may have grown from the same list

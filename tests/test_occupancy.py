@@ -128,7 +128,7 @@ def test_the_band_is_above_the_floor():
 
 
 def test_the_floor_is_found_below_furniture_and_above_stray_points():
-    stray = [[x, 5, -k] for k, x in ((3, 5), (4, 9), (7, 30), (40, 2))]
+    stray = [[x, 32, -k] for k, x in ((3, 52), (4, 53), (7, 54), (40, 55))]
     cells = np.concatenate([room_cells(), stray, [[x, y, 15] for x in range(20, 50) for y in range(5, 35)]])
     grid = occupancy(saved(world(voxels=voxels(cells))), S)
     assert grid.floor_m == pytest.approx(0.5 * VOXEL, abs=0.01)
@@ -140,7 +140,7 @@ def test_a_floor_over_several_layers_is_one():
     floor = cells[:, 2] == 0
     cells[floor, 2] += np.random.default_rng(0).choice([-1, 0, 1], floor.sum(), p=[0.2, 0.6, 0.2])
     grid = occupancy(saved(world(voxels=voxels(cells))), S)
-    assert grid.floor_m == pytest.approx(0.5 * VOXEL, abs=0.015)
+    assert grid.floor_m == pytest.approx(0.5 * VOXEL, abs=0.005)
     np.testing.assert_array_equal(grid.data, expected())
 
 
@@ -182,7 +182,7 @@ def test_a_thin_element_leaves_no_gap():
     leaf = element(2, position=(1.5, 1, 0.5), extent=(0.16 * np.outer(along, along))[np.triu_indices(3)])
     covered = (occupancy(room([leaf]), S).element_id == 2).astype(np.uint8)
     assert cv2.connectedComponents(covered, connectivity=8)[0] == 2  # the background and one piece
-    assert covered.sum() < 70
+    assert 26 <= covered.sum() < 70  # 1.3 m along x
 
 
 def test_a_point_and_what_is_no_covariance_cover_their_own_cell():
@@ -239,7 +239,9 @@ def test_a_far_outlier_is_told_and_its_remedy_works():
 
 @pytest.mark.parametrize("change", [{"position": (3e38, 0, 0.5)}, {"extent": [3e38, 0, 0, 3e38, 0, 3e38]}])
 def test_an_absurd_element_is_told(change):
-    assert "is too large" in refused(room([element(1, **({"position": (1, 1, 0.5)} | change))]), S)
+    absurd = element(1, **({"position": (1, 1, 0.5)} | change))
+    assert "is too large" in refused(room([absurd]), S)
+    assert "is too large" in refused(saved(world([absurd])), S)  # alone it needs few cells
 
 
 @pytest.mark.parametrize("resolution", [1e-3, 1e-9, 0.0, -1.0, float("nan")])

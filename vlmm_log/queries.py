@@ -40,7 +40,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
-from vlmm_log.query_tree import FIELDS, KINDS, MAX_DEPTH, MAX_NODES, MAX_TEXT, Node, one_of, refuse, short, walk
+from vlmm_log.query_tree import (
+    FIELDS,
+    KINDS,
+    MAX_DEPTH,
+    MAX_NODES,
+    MAX_TEXT,
+    Node,
+    one_of,
+    refuse,
+    refuse_long,
+    short,
+    walk,
+)
 from vlmm_log.types import Float32, Float64, InputError, Int64, freeze
 
 RETURNS = ("objects", "mask", "count")
@@ -77,8 +89,7 @@ class Query:
         one_of("returns", self.returns, RETURNS)
         if self.limit is not None and not 1 <= self.limit < 2**31:
             refuse(f"limit is {self.limit}; it must be at least 1")
-        if len(self.text) > MAX_TEXT:
-            refuse(f"the text has {len(self.text)} characters; ask in at most {MAX_TEXT}")
+        refuse_long(self.text)
         for count, (_, depth) in enumerate(walk(self.filter), start=1):
             if count > MAX_NODES or depth > MAX_DEPTH:
                 refuse(f"the filter has over {MAX_NODES} nodes or {MAX_DEPTH} levels; ask for less at once")

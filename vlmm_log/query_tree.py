@@ -23,7 +23,7 @@ OPS = ("<", "<=", "=", ">=", ">")
 RELATIONS = ("left", "right", "above", "below", "front", "behind")
 CLASSES = ("static", "movable_static", "moving")
 MAX_TEXT = 1000  # characters of a query
-MAX_DEPTH, MAX_NODES = 24, 256  # of a tree
+MAX_DEPTH, MAX_NODES = 24, 1024  # of a tree
 
 
 @dataclass(frozen=True)
@@ -174,6 +174,12 @@ def short(value: object) -> str:
 def refuse(why: str) -> NoReturn:
     """Raise the InputError of a query that cannot be used."""
     raise InputError(f"query: {why}")
+
+
+def refuse_long(text: str) -> None:
+    """Raise InputError for a query's text of over MAX_TEXT characters."""
+    if len(text) > MAX_TEXT:
+        refuse(f"the text has {len(text)} characters; ask in at most {MAX_TEXT}")
 
 
 def one_of(name: str, value: str, known: tuple[str, ...]) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 
@@ -36,8 +36,7 @@ class InputError(Exception):
 
 def freeze(record: object) -> None:
     """Make every array of a dataclass instance read-only."""
-    for f in fields(record):  # type: ignore[arg-type]
-        value = getattr(record, f.name)
+    for value in vars(record).values():
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
 
