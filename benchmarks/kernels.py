@@ -22,6 +22,7 @@ import numpy as np
 from benchmarks.data import SLICE, frames
 from vlmm_log.models.dis import Dis
 from vlmm_log.models.load import load_models
+from vlmm_log.models.segmenters import load_segmenter
 from vlmm_log.pipeline import flow_kernels, kernels
 from vlmm_log.pipeline.ego import as_rows, refine_ego, row_transforms
 from vlmm_log.pipeline.flow import estimate_flow
@@ -104,8 +105,12 @@ def main() -> None:
     dis = Dis(s.flow)
     flow = estimate_flow(pair, dis)
     matches = match(pair, flow, s.gate, s.noise)
-    rng = np.random.default_rng(0)
-    ego = refine_ego(matches, s.ego, rng)
+    rng, segments = np.random.default_rng(0), load_segmenter(s.objects)[0](pair.first)
+
+    def refined() -> Ego:
+        return refine_ego(matches, segments, s.ego, rng)
+
+    ego = refined()
     arrays = [a.copy() for a in copied_bytes(matches, ego)]
     into = [np.empty_like(a) for a in arrays]
     size = sum(a.nbytes for a in arrays) / pair.first.depth.size
@@ -125,7 +130,11 @@ def main() -> None:
             "",
         ),
         ("noise of the matches", milliseconds(lambda: match(pair, flow, s.gate, s.noise)), ""),
-        ("ego-refinement, row_linear", milliseconds(lambda: refine_ego(matches, s.ego, rng)), "at most 20 ms"),
+        (
+            "ego-refinement, row_linear",
+            milliseconds(lambda: refine_ego(matches, segments, s.ego, rng)),
+            "at most 20 ms",
+        ),
         ("copy of the same bytes", copy, f"{size:.0f} bytes a pixel"),
         ("motion channel, whole", milliseconds(lambda: measure_motion(matches, ego)), ""),
         (

@@ -54,10 +54,10 @@ def main() -> None:
     source, pair = one_pair()
     flow = estimate_flow(pair, Dis(s.flow))
     matches = match(pair, flow, s.gate, s.noise)
-    ego = refine_ego(matches, s.ego, np.random.default_rng(0))
+    segments = thirty_masks(pair.first.depth.shape)
+    ego = refine_ego(matches, segments, s.ego, np.random.default_rng(0))
     motion = measure_motion(matches, ego)
     odometry = locate(pair, ego, None)
-    segments = thirty_masks(pair.first.depth.shape)
     embed = Words()
     prior = TablePrior(embed, read_table())
 

@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.data import MOVING_PAIRS, NOMINAL, SLICE, WEIGHTS, frames, need
 from vlmm_log import se3
 from vlmm_log.models.dis import Dis
+from vlmm_log.models.segmenters import load_segmenter
 from vlmm_log.pipeline.ego import refine_ego
 from vlmm_log.pipeline.flow import estimate_flow
 from vlmm_log.pipeline.matches import match
@@ -35,6 +36,7 @@ VARIANTS = {
     "default, rigid": Settings.load(sets=["ego.model=rigid"]),
     "default, row_linear": Settings.load(),
 }
+SEGMENT, _ = load_segmenter(Settings().objects)
 MOVING, STATIC = 4.0, 2.8  # RAFT's d_M above, below
 
 
@@ -61,7 +63,7 @@ def estimators(*, raft: bool) -> dict[str, FlowEstimator]:
 def measured(pair: FramePair, flow: FlowField, s: Settings) -> tuple[Ego, Motion]:
     """The channel of one pair on a flow that is already there."""
     matches = match(pair, flow, s.gate, s.noise)
-    ego = refine_ego(matches, s.ego, randomness(s.seed, pair))
+    ego = refine_ego(matches, SEGMENT(pair.first), s.ego, randomness(s.seed, pair))
     return ego, measure_motion(matches, ego)
 
 

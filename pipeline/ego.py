@@ -16,7 +16,7 @@ from vlmm_log.pipeline import ego_kernels as ek
 from vlmm_log.pipeline import kernels
 from vlmm_log.pipeline.matches import Matches
 from vlmm_log.settings import EgoSettings
-from vlmm_log.types import CHI2_3_MEDIAN, Ego, Float32, Float64
+from vlmm_log.types import CHI2_3_MEDIAN, Ego, Float32, Float64, Segments
 
 CHI2_3_QUARTILE = 1.2125329030456688  # a quarter of still points is below it
 
@@ -32,8 +32,12 @@ def as_rows(T: Float64) -> Float32:
     return np.concatenate([T[:, :3, :3].reshape(-1, 9), T[:, :3, 3]], axis=1).astype(np.float32)
 
 
-def refine_ego(matches: Matches, s: EgoSettings, rng: np.random.Generator) -> Ego:
-    """The relative pose of a pair by its static matches; the log's own where ego-refinement is off or impossible."""
+def refine_ego(matches: Matches, segments: Segments, s: EgoSettings, rng: np.random.Generator) -> Ego:
+    """The relative pose of a pair by its static matches; the log's own where ego-refinement is off or impossible.
+
+    No instance of ``segments`` (those of the first frame) supplies more than ``instance_share`` of the hypotheses and
+    their votes, so that one large mover does not pass for the world.
+    """
     prior = matches.pair.relative_pose()
     grid = _Grid.gather(matches, s.stride)
     if s.model == "off" or grid.count < s.min_matches:
@@ -45,7 +49,8 @@ def refine_ego(matches: Matches, s: EgoSettings, rng: np.random.Generator) -> Eg
     unit = Fit(prior, np.zeros(6))
     cut = s.inlier_sigma**2 if s.inlier == "sigma" else 1.0
     inverse = grid.inverse_covariances(unit) if s.inlier == "sigma" else grid.isotropic(s.inlier_m)
-    fit = Fit(_consensus(grid, inverse, prior, cut, s, rng), np.zeros(6))
+    weight = grid.balanced(segments, s.instance_share)
+    fit = Fit(_consensus(grid, inverse, weight, prior, cut, s, rng), np.zeros(6))
     scale2 = 1.0
     for iteration in range(s.iterations):
         if s.inlier == "sigma" and iteration in (0, 2):
@@ -81,6 +86,7 @@ class _Grid:
     planes: Float32  # (GATHERED, N)
     rays: Float32  # (2, N) of the first camera
     row: NDArray[np.int32]  # (N,) grid row
+    column: NDArray[np.int64]  # (N,) image column
     image_rows: NDArray[np.int64]  # (h,) image row of each grid row
     first: Float32  # (3, N) m
     second: Float32  # (3, N) m
@@ -106,7 +112,15 @@ class _Grid:
         kept = np.ascontiguousarray(planes[:, j, i])
         first, second = np.empty((3, j.size), np.float32), np.empty((3, j.size), np.float32)
         ek.points(kept, rays, first, second)
-        return _Grid(matches, kept, rays, j.astype(np.int32), v, first, second)
+        return _Grid(matches, kept, rays, j.astype(np.int32), u[i], v, first, second)
+
+    def balanced(self, segments: Segments, most: float) -> Float64:
+        """(N,) sampling weights under which no instance has more than a share ``most`` of all matches."""
+        label = segments.labels[self.image_rows[self.row], self.column]
+        counts = np.maximum(np.bincount(label, minlength=len(segments) + 1), 1)
+        weight = np.minimum(most * self.count / counts, 1.0)
+        weight[0] = 1.0  # pixels of no instance
+        return np.asarray(weight[label])
 
     def rows(self, fit: Fit) -> Float32:
         return as_rows(row_transforms(fit.T, fit.row_twist, self.image_rows, self.height))
@@ -129,10 +143,16 @@ class _Grid:
 
 
 def _consensus(
-    grid: _Grid, inverse: Float32, prior: Float64, cut: float, s: EgoSettings, rng: np.random.Generator
+    grid: _Grid,
+    inverse: Float32,
+    weight: Float64,
+    prior: Float64,
+    cut: float,
+    s: EgoSettings,
+    rng: np.random.Generator,
 ) -> Float64:
-    """The best of many three-match fits and the prior, by MSAC on a sample of the matches."""
-    sample = rng.permutation(grid.count)[: s.sample]
+    """The best of many three-match fits and the prior, by MSAC on a weighted sample of the matches."""
+    sample = rng.choice(grid.count, s.sample, p=weight / weight.sum())
     first, second = grid.first[:, sample], grid.second[:, sample]
     triples = rng.integers(0, sample.size, (s.hypotheses, 3))
     a, b = first.T[triples].astype(np.float64), second.T[triples].astype(np.float64)

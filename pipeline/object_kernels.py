@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from vlmm_log.pipeline.kernels import Camera, jit
@@ -119,6 +121,11 @@ def gather(
 
 
 @jit
+def _bin(x: Any, low: Any, scale: Any) -> Any:
+    return np.int64((x - low) * scale) if scale > f32(0) else np.int64(0)
+
+
+@jit
 def quantiles(values: Float32, starts: Int64, share: np.float32, out: Float32) -> None:
     """The quantile of each run ``values[starts[k]:starts[k + 1]]``, linear between neighbours; NaN of an empty one.
 
@@ -133,10 +140,11 @@ def quantiles(values: Float32, starts: Int64, share: np.float32, out: Float32) -
         low, high = run[0], run[0]
         for x in run:
             low, high = min(low, x), max(high, x)
-        scale = f32(BINS - 1) / (high - low) if high > low else f32(0)
+        span = high - low
+        scale = f32(BINS - 1) / span if f32(1e-30) < span < f32(1e30) else f32(0)  # else all in one bin
         counts[:] = 0
         for x in run:
-            counts[np.int64((x - low) * scale)] += 1
+            counts[_bin(x, low, scale)] += 1
         place = np.float64(share) * np.float64(run.size - 1)
         rank = np.int64(np.floor(place))
         chosen = 0
@@ -146,7 +154,7 @@ def quantiles(values: Float32, starts: Int64, share: np.float32, out: Float32) -
         n = 0
         following = np.inf  # the smallest value of the bins above
         for x in run:
-            at = np.int64((x - low) * scale)
+            at = _bin(x, low, scale)
             if at == chosen:
                 few[n] = x
                 n += 1

@@ -38,27 +38,36 @@ class Lead:
     finite: bool = False  # an auxiliary or modal of its own
     do: bool = False
     agent: str = ""
+    inner: int = 0  # clauses of targets that it lies within
 
 
 NOTHING = Lead()
+DEEPEST = 3  # clauses of targets within each other
 
 
 def lead(c: Cursor, carried: Lead) -> Lead:
     """All words before the heart; ``can`` is carried on until another auxiliary ends it ("can be lifted or moved")."""
-    now = replace(carried, finite=False, negate=False)
+    now = auxiliaries(c, replace(carried, finite=False, negate=False))
+    while agent := _agent_here(c):
+        c.skip("det")
+        c.take()
+        now = auxiliaries(c, replace(now, agent=agent))
+    return now
+
+
+def auxiliaries(c: Cursor, now: Lead) -> Lead:
+    """Auxiliaries, modals, negations and adverbs; those of a question come before its subject."""
     while True:
         aux, neg, modal = c.value("aux"), c.value("neg"), c.value("modal")
         if aux is not None:
             own = aux != "part"
-            now = replace(now, be=now.be or aux in ("be", "part"), do=now.do or aux == "do", finite=now.finite or own)
-            now = replace(now, can=now.can and not (own and not now.finite))
+            ended = own and not now.finite
+            be, do = now.be or aux in ("be", "part"), now.do or aux == "do"
+            now = replace(now, be=be, do=do, finite=now.finite or own, can=now.can and not ended)
         elif neg in ("not", "no") or (neg == "without" and c.has("dynamic", "verb", ahead=1)):
             now = replace(now, negate=not now.negate)
         elif modal == "can" or (modal == "to" and c.has("verb", "aux", ahead=1)):
             now = replace(now, can=True, finite=True)
-        elif agent := _agent_here(c):
-            now = replace(now, agent=agent)
-            c.skip("det")
         elif not (c.has("stop") or (c.has("adverb") and c.peek().text != "still") or _still_is_adverb(c)):
             return now
         c.take()
@@ -120,7 +129,7 @@ def predicate(c: Cursor, asked: Asked, carried: Lead) -> tuple[Node, Lead] | Non
 def _heart(c: Cursor, asked: Asked, head: Lead) -> Node | None:
     node = _motion(c, asked, head) or _stay(c) or described(c) or _likely(c, asked)
     node = node or (_is_a(c, asked) if head.be else None) or _ranked(c, asked)
-    return node or place(c, lambda: _own_clause(c, asked)) or comparison(c) or _seen(c)
+    return node or place(c, lambda: _own_clause(c, asked, head.inner + 1)) or comparison(c) or _seen(c)
 
 
 def _motion(c: Cursor, asked: Asked, head: Lead) -> Node | None:
@@ -217,9 +226,10 @@ def _ranked(c: Cursor, asked: Asked) -> Node | None:
     return both(*nodes)
 
 
-def _own_clause(c: Cursor, asked: Asked) -> Node | None:
+def _own_clause(c: Cursor, asked: Asked, inner: int) -> Node | None:
+    """The clause that is all of a target: "near something that moved"."""
     c.skip("rel")
-    own = predicate(c, asked, NOTHING)
+    own = predicate(c, asked, Lead(inner=inner)) if inner <= DEEPEST else None
     return own[0] if own else None
 
 

@@ -129,7 +129,7 @@ def _thing(c: Cursor, phrase: Phrase) -> bool:
 
 
 def _determiner(c: Cursor, phrase: Phrase) -> bool:
-    if c.accept("det") is None:
+    if phrase.thing not in (None, "wh", "mask") or c.accept("det") is None:  # "things a robot could lift"
         return False
     phrase.determined = True
     return True
@@ -262,7 +262,8 @@ def _belongs_to_name(c: Cursor, phrase: Phrase, words: list[str]) -> bool:
     if token.kind in ("quote", "compound"):
         return True
     if c.value("agent") == "noun":
-        return not (after and c.has("aux", "modal", "verb", "neg", ahead=1))
+        acts = bool(words or phrase.thing not in (None, "wh"))
+        return not (acts and c.has("aux", "modal", "verb", "neg", ahead=1))
     if c.has("opener"):
         return c.at > 0 and " " not in token.text
     if c.value("camera") == "noun":

@@ -12,7 +12,7 @@ prior; a superlative gives one answer for a singular and ranks all for a plural.
 
 from __future__ import annotations
 
-from vlmm_log.pipeline.query_clauses import NOTHING, Lead, lead, predicates
+from vlmm_log.pipeline.query_clauses import NOTHING, Lead, auxiliaries, predicates
 from vlmm_log.pipeline.query_cursor import Cursor
 from vlmm_log.pipeline.query_measures import both, either, negated, time_span, within
 from vlmm_log.pipeline.query_nouns import Asked, Phrase, joined, noun_phrases, starts_phrase, without_last_word
@@ -39,7 +39,7 @@ def read(text: str) -> tuple[Query, Cursor]:
     span = time_span(c)
     c.skip("conj") if span else None
     _opening(c, asked)
-    carried = lead(c, NOTHING) if c.has("aux", "modal") else NOTHING
+    carried = auxiliaries(c, NOTHING) if c.has("aux", "modal") else NOTHING
     _opening(c, asked)
     node = _union(c, asked, carried, 0)
     node = within(node, span) if span else node
@@ -61,16 +61,19 @@ def _opening(c: Cursor, asked: Asked) -> None:
 
 def _union(c: Cursor, asked: Asked, carried: Lead, depth: int) -> Node:
     """Groups joined by "and" or "or": either way what is of any of them; "and no chairs" takes away."""
-    nodes = [_group(c, asked, carried, depth)[0]]
+    nodes = _group(c, asked, carried, depth)[0]
     while not c.done:
+        start = c.at
         joined(c)
-        node, takes_away = _group(c, asked, NOTHING, depth)
-        nodes = [both(either(nodes), node)] if takes_away else [*nodes, node]
-    return either(nodes)
+        more, takes_away = _group(c, asked, NOTHING, depth)
+        if not more:  # "chairs and": joined with nothing
+            c.roles[start] = "structure" if c.tokens[start].value == "comma" else "unparsed"
+        nodes = [both(either(nodes), *more)] if takes_away and nodes else [*nodes, *more]
+    return either(nodes) if nodes else AllOf()
 
 
-def _group(c: Cursor, asked: Asked, carried: Lead, depth: int) -> tuple[Node, bool]:
-    """Nouns, and all that is said of them; and whether they are taken away ("no chairs", "not the door")."""
+def _group(c: Cursor, asked: Asked, carried: Lead, depth: int) -> tuple[list[Node], bool]:
+    """Nouns and all that is said of them, as one node or none; and whether "no" or "not" takes them away."""
     takes_away = _negates_nouns(c)
     begin = c.at
     phrases = noun_phrases(c)
@@ -80,25 +83,23 @@ def _group(c: Cursor, asked: Asked, carried: Lead, depth: int) -> tuple[Node, bo
     if not phrases:
         c.skip("det")
     nodes = [either([p.node for p in phrases])] if phrases else []
+    last = c.at - 1
     told = _told(c, asked, carried, depth, nodes)
-    if (carried.do or carried.can) and told == nodes and phrases and "word" in c.roles:
+    if (carried.do or carried.can) and phrases and told == nodes and c.tokens[last].kind == "word":
         without_last_word(phrases[-1])  # "did the chair hum": its verb went into the name
-        c.roles[_last_word(c)] = "unparsed"
+        c.roles[last] = "unparsed"
         told = [either([p.node for p in phrases])]
     if phrases and asked.order and asked.limit is None and asked.one and not _plural(phrases):
         asked.limit = 1
     if c.at == begin and not c.done:
         c.take("unparsed")
-    node = both(*told)
-    return (negated(node) if takes_away else node), takes_away
+    if not told:
+        return [], False
+    return [negated(both(*told)) if takes_away else both(*told)], takes_away
 
 
 def _plural(phrases: list[Phrase]) -> bool:
     return len(phrases) > 1 or phrases[0].plural
-
-
-def _last_word(c: Cursor) -> int:
-    return max(i for i, role in enumerate(c.roles) if role == "word")
 
 
 def _negates_nouns(c: Cursor) -> bool:
@@ -118,17 +119,20 @@ def _negates_nouns(c: Cursor) -> bool:
 def _told(c: Cursor, asked: Asked, carried: Lead, depth: int, nodes: list[Node]) -> list[Node]:
     """The nodes of nouns and of clauses, relations, times and exceptions behind them, up to the next noun in a list."""
     nodes = list(nodes)
+    acted_on = not nodes and c.has("agent")  # "can I lift the chair"
     while not c.done:
         found = _clause(c, asked, carried) or _exception(c, asked, depth)
         span = None if found else time_span(c)
         if found:
             nodes.append(found)
             carried = NOTHING
+            if acted_on and starts_phrase(c):
+                nodes += [either([p.node for p in noun_phrases(c)])]
         elif span:
             nodes = [within(both(*nodes), span)]
         elif c.has("conj"):
             break
-        elif not (c.accept("stop", "rel") or ranked_to(c, asked)):
+        elif not (c.accept("stop", "rel", "adverb") or ranked_to(c, asked)):
             c.take("unparsed")
     return nodes
 
@@ -157,5 +161,5 @@ def _exception(c: Cursor, asked: Asked, depth: int) -> Node | None:
     if not starts_phrase(c) and not c.has("verb", "still", "movable", "dynamic"):
         c.at = start
         return None
-    node, _ = _group(c, asked, NOTHING, depth + 1)
-    return negated(node)
+    nodes, _ = _group(c, asked, NOTHING, depth + 1)
+    return negated(nodes[0]) if nodes else None

@@ -46,7 +46,7 @@ def step(pair: FramePair, world: World, models: Models, s: Settings, observe: Ob
     flow = observe(estimate_flow(pair, models.flow))
     segments = observe(models.segment(pair.first))
     matches = observe(match(pair, flow, s.gate, s.noise))
-    ego = observe(refine_ego(matches, s.ego, randomness(s.seed, pair)))
+    ego = observe(refine_ego(matches, segments, s.ego, randomness(s.seed, pair)))
     motion = observe(measure_motion(matches, ego))
     odometry = observe(locate(pair, ego, world.odometry))
     sightings = observe(aggregate(pair, segments, motion, ego, odometry, s.objects))

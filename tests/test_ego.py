@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 from vlmm_log import se3
+from vlmm_log.models.segmenters import no_segments
 from vlmm_log.pipeline.ego import _Grid, refine_ego
 from vlmm_log.pipeline.matches import match
 from vlmm_log.pipeline.motion import measure_motion
 from vlmm_log.settings import EgoSettings, Settings
-from vlmm_log.types import FlowField, Frame, FramePair
+from vlmm_log.types import FlowField, Frame, FramePair, Segments
 from worlds import PLAIN, room_pair
 
 TWIST = np.array([0.01, -0.02, 0.015, 0.04, -0.01, 0.03])
 
 
 def refine(matches, seed=0, **settings):
-    return refine_ego(matches, EgoSettings(**settings), np.random.default_rng(seed))
+    return refine_ego(matches, no_segments(matches.pair.first), EgoSettings(**settings), np.random.default_rng(seed))
 
 
 def error(ego, T):
@@ -128,7 +129,7 @@ def test_too_few_matches_are_told_and_the_log_is_trusted(noisy):
 def test_off_trusts_the_poses_and_widens_sigma(noisy):
     s = Settings.load(sets=(*PLAIN, "ego.model=off"))
     off = match(noisy.pair, noisy.flow, s.gate, s.noise)
-    ego = refine_ego(off, s.ego, np.random.default_rng(0))
+    ego = refine_ego(off, no_segments(off.pair.first), s.ego, np.random.default_rng(0))
     np.testing.assert_allclose(ego.T_second_first, noisy.pair.relative_pose())
     assert ego.reliable
     narrow = measure_motion(off, replace(ego, covariance=np.zeros((6, 6))))
@@ -152,3 +153,28 @@ def test_same_seed_same_bytes(noisy):
     a, b = refine(noisy, seed=5), refine(noisy, seed=5)
     assert a.T_second_first.tobytes() == b.T_second_first.tobytes()
     assert a.row_twist.tobytes() == b.row_twist.tobytes()
+
+
+@pytest.mark.parametrize("model", ["rigid", "row_linear"])
+def test_a_large_mover_does_not_pass_for_the_world_once_it_is_an_instance(model):
+    """A wall moves sideways before a still camera; a mask that covers most of it moves by itself."""
+    H, W, z = 96, 128, 2.0
+    K = np.array([[110.0, 0, 63.5], [0, 110.0, 47.5], [0, 0, 1]])
+    rng = np.random.default_rng(0)
+    depth = np.full((H, W), z, np.float32) + rng.normal(0, 0.002, (H, W)).astype(np.float32)
+    rgb = rng.integers(0, 256, (H, W, 3), np.uint8)
+    labels = np.zeros((H, W), np.int32)
+    labels[:, :80] = 1
+    forward = np.zeros((H, W, 2), np.float32)
+    forward[:, :80, 0] = 6.0
+    flow = FlowField(forward, -forward, np.zeros((H, W), np.float32))
+    s = Settings.load(sets=[f"ego.model={model}", "noise.flow_spread=0"])
+    matches = match(FramePair(Frame(0, 0, rgb, depth, K), Frame(1, 1, rgb, depth.copy(), K)), flow, s.gate, s.noise)
+    segments = Segments(labels, ("person",), np.ones(1, np.float32), np.full(1, -1))
+
+    def sideways(share):
+        settings = replace(s.ego, instance_share=share)
+        return refine_ego(matches, segments, settings, np.random.default_rng(0)).T_second_first[0, 3]
+
+    assert sideways(1.0) == pytest.approx(6.0 * z / 110.0, abs=0.01)  # the majority
+    assert sideways(0.08) == pytest.approx(0.0, abs=0.005)

@@ -8,6 +8,7 @@ from scipy import stats
 
 import textbook
 from vlmm_log import se3
+from vlmm_log.models.segmenters import no_segments
 from vlmm_log.pipeline import flow_kernels, kernels
 from vlmm_log.pipeline.ego import refine_ego
 from vlmm_log.pipeline.motion import measure_motion
@@ -85,7 +86,7 @@ def test_a_still_noisy_world_gives_chi_square_under_any_camera_motion(name):
         MOTIONS[name], np.random.default_rng(11), sets=(*PLAIN, "gate.depth_band=0", "gate.occlusion_sigma=0")
     )
     s = EgoSettings(model="rigid")
-    motion = measure_motion(matches, refine_ego(matches, s, np.random.default_rng(0)))
+    motion = measure_motion(matches, refine_ego(matches, no_segments(matches.pair.first), s, np.random.default_rng(0)))
     smooth = matches.inputs.range_second < 0.15  # across a depth edge a noisy match reads the other surface
     sample = motion.d_m[::9, ::9][(motion.validity == Validity.VALID)[::9, ::9] & smooth[::9, ::9]]
     assert sample.size > 2000
@@ -109,7 +110,9 @@ def test_k_times_the_noise_gives_a_kth_of_d_m(k, profile):
 @pytest.mark.parametrize("poses", [True, False])
 def test_moving_things_stand_out(poses):
     matches, labels = room_pair(MOTIONS["sideways"], np.random.default_rng(3), elapsed_s=0.1, poses=poses)
-    motion = measure_motion(matches, refine_ego(matches, EgoSettings(), np.random.default_rng(0)))
+    motion = measure_motion(
+        matches, refine_ego(matches, no_segments(matches.pair.first), EgoSettings(), np.random.default_rng(0))
+    )
     valid = motion.validity == Validity.VALID
     flagged = np.nan_to_num(motion.d_m) > motion.tau_px
     for mover in (1, 3):

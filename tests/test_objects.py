@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 import textbook
 from vlmm_log import se3
+from vlmm_log.models.segmenters import no_segments
 from vlmm_log.pipeline import object_kernels as ok
 from vlmm_log.pipeline.ego import refine_ego
 from vlmm_log.pipeline.motion import measure_motion
@@ -86,12 +87,19 @@ def test_quantiles_are_numpys(runs, share):
         assert q == pytest.approx(expected, rel=1e-5, abs=1e-6, nan_ok=True)
 
 
+@pytest.mark.parametrize("run", [[0, 1e-44], [1e-38, 0, 2e-38], [0, 3e38], [1, np.inf, 2], [5, 5, 5], [np.inf]])
+def test_quantiles_of_extreme_values(run):
+    out = np.empty(1, np.float32)
+    ok.quantiles(np.array(run, np.float32), np.array([0, len(run)]), np.float32(0.5), out)
+    assert out[0] == pytest.approx(np.median(np.array(run, np.float64)), rel=1e-5)
+
+
 def test_a_moving_box_is_coherent_and_the_still_rest_is_not():
     matches, labels = room_pair([0.02, -0.01, 0.01, 0.03, 0.0, 0.02], np.random.default_rng(1), elapsed_s=0.15)
     names = sorted(set(np.unique(labels)) - {0})
     compact = np.searchsorted(names, labels) + 1
     compact[labels == 0] = 0
-    ego = refine_ego(matches, EgoSettings(), np.random.default_rng(0))
+    ego = refine_ego(matches, no_segments(matches.pair.first), EgoSettings(), np.random.default_rng(0))
     _, seen = aggregated(matches, segments_of(compact), ego, ObjectSettings())
     moving = seen.rows["o"] > 6
     assert moving.any() and not moving.all()

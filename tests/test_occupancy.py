@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from known_maps import element, saved, world
 from vlmm_log.elements import Background, MotionClass, WorldMap
 from vlmm_log.maps.grid import save_grid
-from vlmm_log.maps.occupancy import FREE, OCCUPIED, R_GRID_WORLD, UNKNOWN, GridSettings, occupancy
+from vlmm_log.maps.occupancy import FREE, OCCUPIED, R_GRID_WORLD, UNKNOWN, occupancy
+from vlmm_log.settings import GridSettings
 from vlmm_log.types import InputError
 
 VOXEL = 0.05

@@ -1,12 +1,13 @@
 """The default parser: what a text means, and that every word of it is accounted for."""
 
+import importlib.util
 import re
+from pathlib import Path
 
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.router import PARSERS, intent, noun, same_noun, sections
 from vlmm_log.pipeline.query_explain import explain
 from vlmm_log.pipeline.query_parser import parse, read
 from vlmm_log.pipeline.query_words import lexicon, singular, tokenise
@@ -27,6 +28,11 @@ from vlmm_log.query_tree import (
     walk,
 )
 from vlmm_log.types import InputError
+
+SPEC = importlib.util.spec_from_file_location("router", Path(__file__).parents[1] / "benchmarks" / "router.py")
+router = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(router)
+SECTIONS = router.sections()
 
 CHAIR, TABLE, DOOR, PERSON, CUP = (Named(n) for n in ("chair", "table", "door", "person", "cup"))
 STILL = Not(Moved())
@@ -64,6 +70,7 @@ MEANINGS = [
         (text, Movable())
         for text in ("things that might be pushed", "objects a robot could lift", "things people move")
     ],
+    ("can I lift the chair", AllOf((Movable(), CHAIR))),
     ("could the table be pushed aside", AllOf((TABLE, Movable()))),
     ("things that can be pushed or pulled", Movable()),
     ("things I can move and that are near the door", AllOf((Movable(), Near(DOOR)))),
@@ -133,7 +140,10 @@ MEANINGS = [
     ("open doors", Named("open door")),
     ("the lift", Named("lift")),
     ("people", PERSON),
+    ("which person is near the door", AllOf((PERSON, Near(DOOR)))),
+    ("which of the doors moved right now", AllOf((DOOR, Moved()))),
     ("snarks", Named("snark")),
+    ("chairs, please", CHAIR),
     ("everything", AllOf()),
 ]
 
@@ -154,6 +164,7 @@ def test_meaning(text, expected):
         ("things most likely to move", Order("rho"), None),
         ("the thing that is least likely to be moved", Order("rho", "least"), 1),
         ("the nearest chair to the door", Order("distance_m", "least", DOOR), 1),
+        ("which person is closest to me", Order("distance_m", "least"), 1),
         ("which chair is closest to me", Order("distance_m", "least"), 1),
         ("what moves fastest", Order("speed"), 1),
         ("things ranked by kappa ascending", Order("kappa", "least"), None),
@@ -190,19 +201,22 @@ def test_what_is_returned(text, returns):
         ("things inside the fridge", ("inside the fridge",)),
         ("chairs between the table and the door", ("between the table",)),
         ("the chair the robot pushed", ("the robot",)),  # a map does not hold who moved what
+        ("things a child could carry", ("a child",)),
         ("the chair pushed by the child", ("by the child",)),
         ("the person opening the door", ("the door",)),
         ("things larger than the chair", ("larger than the chair",)),
         ("chairs 7", ("7",)),
+        ("chairs and", ("and",)),
+        ("chairs or # near", ("or # near",)),
         ("things within 3 s of the door", ("within 3 s of the door",)),
         ("what moved after the door opened", ("after the door",)),
         ("when did the door open", ("when did the door",)),
         ("between 12 s and 10 s what moved", ("between 12 s", "10 s")),
-        ("the fastest slowest chair", ("slowest",)),
+        ("the fastest slowest chair", ("slowest chair",)),
         ("rho above 3 s", ("rho above 3 s",)),
         ("is the door open", ("open",)),
         ("please show me", ("please show me",)),
-        ("moving #!", ("# !",)),
+        ("moving # %", ("# %",)),
     ],
 )
 def test_what_cannot_be_parsed_is_told(text, left_out):
@@ -234,77 +248,13 @@ def targets(query):
     return (query.order.target,) if query.order and query.order.target else ()
 
 
-vocabulary = sorted({" ".join(phrase) for phrase in lexicon().phrases}) + [
-    "chair",
-    "doors",
-    "3",
-    "0.8",
-    "00:05",
-    '"a b"',
-]
+COMMON = """the a not no never or and but except that which is are can could did moved moving opens static movable near
+    left of in front chair door table things fastest most 3 5 s m between after within without , more than times seen by
+    robot to nearest how many where something me"""
+phrases = sorted({" ".join(phrase) for phrase in lexicon().phrases})
+vocabulary = [*phrases, "chair", "doors", "3", "0.8", "00:05", '"a b"']
 salad = st.lists(st.sampled_from(vocabulary), min_size=1, max_size=9).map(" ".join)
-frequent = st.lists(
-    st.sampled_from(
-        [
-            "the",
-            "a",
-            "not",
-            "no",
-            "never",
-            "or",
-            "and",
-            "but",
-            "except",
-            "that",
-            "which",
-            "is",
-            "are",
-            "can",
-            "could",
-            "did",
-            "moved",
-            "moving",
-            "opens",
-            "static",
-            "movable",
-            "near",
-            "left",
-            "of",
-            "in",
-            "front",
-            "chair",
-            "door",
-            "table",
-            "things",
-            "fastest",
-            "most",
-            "3",
-            "5",
-            "s",
-            "m",
-            "between",
-            "after",
-            "within",
-            "without",
-            ",",
-            "more",
-            "than",
-            "times",
-            "seen",
-            "by",
-            "robot",
-            "to",
-            "nearest",
-            "how",
-            "many",
-            "where",
-            "something",
-            "me",
-        ]
-    ),
-    min_size=1,
-    max_size=14,
-).map(" ".join)
+frequent = st.lists(st.sampled_from(COMMON.split()), min_size=1, max_size=14).map(" ".join)
 
 
 @given(salad | frequent)
@@ -323,7 +273,7 @@ def test_every_word_is_accounted_for(text):
 @example("٣ chairs")
 @example("9" * 400)
 @example("no except " * 100)
-@example("near something " * 66)
+@example(("near something " * 70)[:1000])
 @example("a,b," * 250)
 @example("not (" * 200)
 def test_any_text_is_parsed_and_accounted_for(text):
@@ -347,10 +297,11 @@ def test_an_empty_text_is_refused(text):
         parse(text)
 
 
-@pytest.mark.parametrize(
-    ("plural", "expected"),
-    [(w.split("/")[0], w.split("/")[1]) for w in ["chairs/chair", "boxes/box", "glasses/glasses", "people/person", "vases/vase", "knives/knife", "bodies/body", "dishes/dish", "bus/bus", "glass/glass", "shoes/shoe", "mugs/mug"]],
-)  # fmt: skip
+NUMBERS = """chairs/chair boxes/box glasses/glasses people/person vases/vase knives/knife bodies/body dishes/dish
+    bus/bus glass/glass shoes/shoe mugs/mug"""
+
+
+@pytest.mark.parametrize(("plural", "expected"), [tuple(pair.split("/")) for pair in NUMBERS.split()])
 def test_singular(plural, expected):
     assert singular(plural) == expected
     assert singular(expected) == expected
@@ -365,25 +316,25 @@ def test_singular(plural, expected):
             "objects: moved from 3 s to the end and named 'chair' or named 'door' and near named 'table'",
         ),
         ("how many things on my left hum", "count: left of the camera; NOT UNDERSTOOD: 'hum'"),
-        ("the chair nearest the door", "objects: named 'chair'; ranked by distance_m to named 'door', lowest first; at most 1"),
+        ("the chair nearest the door", "objects: named 'chair'; ranked by distance_m to named 'door', lowest first"),
         ("things that moved in the last 2 s", "objects: moved from 2 s before the end to the end"),
     ],
-)  # fmt: skip
+)
 def test_the_explanation_is_one_line_of_words(text, told):
     line = explain(parse(text))
     assert "\n" not in line
     assert re.sub(r"[()]", "", line).startswith(told)
 
 
-@pytest.mark.parametrize("section", [s for s in sections() if s in ("canonical", "before")])
-def test_the_paraphrases_written_before_the_parser_are_routed(section):
-    for expected in sections()[section]:
+@pytest.mark.parametrize("section", ["canonical", "before"])
+def test_the_queries_written_before_the_parser_are_routed(section):
+    for expected in SECTIONS[section]:
         query = parse(expected["text"])
-        assert (intent(query), query.unparsed) == (expected["intent"], ()), expected["text"]
-        assert same_noun(noun(query), expected["noun"]), expected["text"]
+        assert (router.intent(query), query.unparsed) == (expected["intent"], ()), expected["text"]
+        assert router.same_noun(router.noun(query), expected["noun"]), expected["text"]
 
 
 def test_the_papers_router_routes_the_papers_queries():
-    for expected in sections()["canonical"]:
-        query = PARSERS["paper"](expected["text"])
-        assert (intent(query), noun(query)) == (expected["intent"], expected["noun"])
+    for expected in SECTIONS["canonical"]:
+        query = router.PARSERS["paper"](expected["text"])
+        assert (router.intent(query), router.noun(query)) == (expected["intent"], expected["noun"])

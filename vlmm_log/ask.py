@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,14 +90,14 @@ def _is_recording(path: Path) -> bool:
     return path.name.endswith((".rrd", ".rrd.partial"))
 
 
-def query(source: str | Path | SavedMap, text: str, *, parser: str | None = None) -> Answer:
+def query(source: str | Path | SavedMap, text: str, *, sets: Sequence[str] = ()) -> Answer:
     """Elements of a map or recording that a text asks for, the best first, each with its reason.
 
-    ``parser`` replaces that of the map's settings. Raises InputError where the source cannot be read or the text is
-    not understood.
+    ``sets`` change the settings that the map was made with: "query.parser=paper", "query.threshold=0.4". Raises
+    InputError where the source cannot be read or the text is not understood.
     """
     saved = load_map(source) if isinstance(source, str | Path) else source
-    return _ask(saved, text, parser)
+    return _ask(saved, text, _settings(saved, sets))
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def find(
     source: str | Path,
     text: str,
     *,
-    parser: str | None = None,
+    sets: Sequence[str] = (),
     rrd: Path | None = None,
     grid: Path | None = None,
     force: bool = False,
@@ -152,13 +152,14 @@ def find(
     Raises InputError as ``query`` does, and where an output cannot be written.
     """
     saved = load_map(source)
-    found = _ask(saved, text, parser)
+    s = _settings(saved, sets)
+    found = _ask(saved, text, s)
     outputs = []
     if grid is not None:
         from vlmm_log.maps.grid import save_grid
-        from vlmm_log.maps.occupancy import GridSettings, occupancy
+        from vlmm_log.maps.occupancy import occupancy
 
-        save_grid(grid, occupancy(saved, GridSettings(), found.ids.tolist()), force=force)
+        save_grid(grid, occupancy(saved, s.grid, found.ids.tolist()), force=force)
         outputs.append(grid)
     if rrd is not None:
         from vlmm_log.maps.output import replacing
@@ -172,11 +173,13 @@ def find(
     return Found(found, saved.world.columns, tuple(outputs))
 
 
-def _ask(saved: SavedMap, text: str, parser: str | None) -> Answer:
+def _settings(saved: SavedMap, sets: Sequence[str]) -> Settings:
+    return Settings.from_toml(saved.run.settings, saved.run.source).changed(sets)
+
+
+def _ask(saved: SavedMap, text: str, s: Settings) -> Answer:
     from vlmm_log.models.embedders import load_embedder
 
-    s = Settings.from_toml(saved.run.settings, saved.run.source)
-    s = s if parser is None else replace(s, query=replace(s.query, parser=parser))
     queries = parse([text], s)
     embed, _ = load_embedder(s.objects)
     questions = Questions(queries, embed, s.query, s.map, saved.run.world_up)

@@ -112,6 +112,7 @@ def process(
 @click.argument("source", metavar="MAP_OR_RRD", type=click.Path(path_type=Path))
 @click.argument("text", metavar="TEXT")
 @click.option("--parser", metavar="NAME", help="default, paper or llm:URL; if not given, the map's own.")
+@click.option("--set", "sets", multiple=True, metavar="A.B=V", help="Change one of the map's settings; repeatable.")
 @click.option("--limit", type=click.IntRange(1), default=20, show_default=True, help="Answers to print.")
 @click.option("--explain", is_flag=True, help="Print how the query was understood, too.")
 @click.option("--rrd", type=click.Path(path_type=Path), help="Write the hits as a recording that opens with the other.")
@@ -122,6 +123,7 @@ def query(
     source: Path,
     text: str,
     parser: str | None,
+    sets: tuple[str, ...],
     limit: int,
     explain: bool,
     rrd: Path | None,
@@ -135,7 +137,8 @@ def query(
     """
     from vlmm_log.ask import find
 
-    found = find(source, text, parser=parser, rrd=rrd, grid=grid, force=force)
+    sets = sets if parser is None else (*sets, f"query.parser={json.dumps(parser)}")
+    found = find(source, text, sets=sets, rrd=rrd, grid=grid, force=force)
     if as_json:
         click.echo(json.dumps(found.report(limit), indent=2))
     else:

@@ -69,6 +69,13 @@ class MotionClass(IntEnum):
     MOVING = 2
 
 
+CLASS_COLORS: dict[MotionClass, tuple[int, int, int]] = {  # told apart also by the colour-blind (Okabe and Ito)
+    MotionClass.STATIC: (0, 114, 178),
+    MotionClass.MOVABLE_STATIC: (230, 159, 0),
+    MotionClass.MOVING: (213, 94, 0),
+}
+
+
 @dataclass(frozen=True)
 class Movability:
     """Whether things of a label can move."""

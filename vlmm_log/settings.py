@@ -124,6 +124,9 @@ class EgoSettings:
     stride: int = knob(4, "matches are taken at every n-th row and column", low=1)
     hypotheses: int = knob(256, "RANSAC hypotheses", low=1, high=100_000)
     sample: int = knob(2048, "matches that score a hypothesis", low=3)
+    instance_share: float = knob(
+        0.08, "no instance supplies more than this share of hypotheses and votes; 1: any", low=1e-3, high=1
+    )
     iterations: int = knob(10, "refits at most", low=1, high=100)
     row_prior_rad: float = knob(0.05, "standard deviation of the row twist's rotation, rad", low=1e-9)
     row_prior_m: float = knob(0.05, "standard deviation of the row twist's translation, m", low=1e-9)
@@ -199,6 +202,20 @@ class QuerySettings:
 
 
 @dataclass(frozen=True)
+class GridSettings:
+    """How a map becomes an occupancy grid."""
+
+    resolution_m: float = knob(0.05, "side of a cell, m", low=1e-3)
+    low_m: float = knob(0.1, "what is lower above the floor is no obstacle, m", low=0)
+    high_m: float = knob(2.0, "what is higher above the floor is no obstacle, m", low=0)
+    floor: str = knob("auto", "height of the floor along the up axis, m; auto: the lowest layer that is dense")
+    floor_share: float = knob(0.1, "dense: this share of the fullest layer's voxels", low=0, high=1)
+    min_points: int = knob(1, "voxels of fewer points are left out", low=1)
+    sigmas: float = knob(2.0, "an element covers so many standard deviations of its extent", low=0)
+    max_cells: int = knob(2**24, "a larger grid is refused", low=1)
+
+
+@dataclass(frozen=True)
 class LogSettings:
     """What a recording holds."""
 
@@ -221,6 +238,7 @@ class Settings:
     tracks: TrackSettings = TrackSettings()
     map: MapSettings = MapSettings()
     query: QuerySettings = QuerySettings()
+    grid: GridSettings = GridSettings()
     log: LogSettings = LogSettings()
 
     @staticmethod
@@ -262,6 +280,13 @@ class Settings:
             raise InputError(f"{where}: profile {profile!r}: no such profile; there are {', '.join(PROFILES)}")
         return _changed(PROFILES[profile], table, where, "")
 
+    def changed(self, sets: Iterable[str]) -> Settings:
+        """These settings with ``a.b=v`` texts applied. Raises InputError as ``load`` does."""
+        settings = self
+        for text in sets:
+            settings = _changed(settings, _parse_set(text), f"--set {text}", "")
+        return settings
+
     def to_toml(self) -> str:
         """All settings as TOML that ``load`` takes back."""
         tops = [f"{f.name} = {_toml(getattr(self, f.name))}" for f in fields(self) if not _is_table(self, f.name)]
@@ -289,7 +314,7 @@ PROFILES = {
             flow_sigma=0.0,
             flow_spread=0.0,
         ),
-        ego=EgoSettings(model="rigid", inlier="metric"),
+        ego=EgoSettings(model="rigid", inlier="metric", instance_share=1.0),
         objects=ObjectSettings(coherence="all"),
         map=MapSettings(o_unit=1.0, tau_o=0.69, kappa_o=0.05, part=1.0, interval_pairs=1),
         query=QuerySettings(parser="paper"),

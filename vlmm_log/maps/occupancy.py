@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vlmm_log.elements import Background, Element
 from vlmm_log.maps.saved import SavedMap
-from vlmm_log.settings import knob
+from vlmm_log.settings import GridSettings
 from vlmm_log.types import Float64, InputError, Int64, UInt8, freeze
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100  # nav_msgs/OccupancyGrid
@@ -24,20 +24,6 @@ R_GRID_WORLD: dict[str, Float64] = {  # by the world's axis that points up
     "+y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
     "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
 }
-
-
-@dataclass(frozen=True)
-class GridSettings:
-    """How a map becomes an occupancy grid."""
-
-    resolution_m: float = knob(0.05, "side of a cell, m", low=1e-3)
-    low_m: float = knob(0.1, "what is lower above the floor is no obstacle, m", low=0)
-    high_m: float = knob(2.0, "what is higher above the floor is no obstacle, m", low=0)
-    floor: str = knob("auto", "height of the floor along the up axis, m; auto: the lowest layer that is dense")
-    floor_share: float = knob(0.1, "dense: this share of the fullest layer's voxels", low=0, high=1)
-    min_points: int = knob(1, "voxels of fewer points are left out", low=1)
-    sigmas: float = knob(2.0, "an element covers so many standard deviations of its extent", low=0)
-    max_cells: int = knob(2**24, "a larger grid is refused", low=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,15 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from vlmm_log.elements import Element, MotionClass
+from vlmm_log.elements import CLASS_COLORS, Element, MotionClass
 from vlmm_log.maps.saved import SavedMap
 from vlmm_log.types import Float32, Float64, InputError, UInt8
 
-CLASS_COLORS: dict[MotionClass, tuple[int, int, int]] = {  # told apart also by the colour-blind (Okabe and Ito)
-    MotionClass.STATIC: (0, 114, 178),
-    MotionClass.MOVABLE_STATIC: (230, 159, 0),
-    MotionClass.MOVING: (213, 94, 0),
-}
 SURFACE = 400  # points of an ellipsoid
 SIGMAS = 2.0
 NO_CLASS = 255

@@ -10,18 +10,13 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from vlmm_log.elements import OBSERVATION, Element, Elements, MotionClass, Observations, Tracked, WorldMap
+from vlmm_log.elements import CLASS_COLORS, OBSERVATION, Element, Elements, MotionClass, Observations, Tracked, WorldMap
 from vlmm_log.protocols import Moment
 from vlmm_log.queries import Answer
 from vlmm_log.sinks.blueprint import IMAGE
 from vlmm_log.sinks.scalars import ScalarColumns
 from vlmm_log.types import Float32, Float64, Int64, UInt8
 
-CLASS_COLORS: dict[MotionClass, tuple[int, int, int]] = {  # told apart also by the colour-blind (Okabe and Ito)
-    MotionClass.STATIC: (0, 114, 178),
-    MotionClass.MOVABLE_STATIC: (230, 159, 0),
-    MotionClass.MOVING: (213, 94, 0),
-}
 HIT_COLOR = (240, 228, 66)
 CLEAR = (0, 0, 0, 0)  # pixels of no instance
 MAP = "world/map"
