@@ -2,7 +2,8 @@
 
     python examples/render_room.py OUT [FRAMES]
 
-Analytic ray casting in numpy: exact depth, poses, flow and truth. Noise is Kinect-like, from a seed.
+Analytic ray casting in numpy: exact depth, poses, flow and instance masks (OUT/masks). Noise is Kinect-like, from a
+seed.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ WIDTH, HEIGHT, FOCAL = 640, 480, 525.0
 K = np.array([[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT - 1) / 2], [0, 0, 1]])
 ROOM = np.array([[-2.2, -1.4, -0.5], [2.2, 1.2, 4.0]])  # m: x right, y down, z ahead
 SPEED = {1: np.array([0.5, 0.0, -0.15]), 2: np.array([0.0, 0.0, 0.0]), 3: np.array([-0.4, 0.0, 0.0])}  # m/s by label
+NAMES = {1: "ball", 2: "shelf", 3: "box"}
 FRAME_S = 1 / 30
 
 
@@ -84,8 +86,9 @@ def noisy_depth(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def write_tum(folder: Path, frames: int, seed: int = 0) -> None:
     """A sequence at 30 frames/s in TUM RGB-D layout, poses and intrinsics beside it."""
     rng = np.random.default_rng(seed)
-    for name in ("rgb", "depth"):
+    for name in ("rgb", "depth", "masks"):
         (folder / name).mkdir(parents=True, exist_ok=True)
+    (folder / "masks/labels.txt").write_text("".join(f"{i} {name}\n" for i, name in NAMES.items()))
     rows: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
     z_up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     for i in range(frames):
@@ -94,6 +97,7 @@ def write_tum(folder: Path, frames: int, seed: int = 0) -> None:
         grain = rng.normal(0, 2, view.rgb.shape)
         cv2.imwrite(str(folder / f"rgb/{stamp}.png"), np.clip(view.rgb + grain, 0, 255).astype(np.uint8)[..., ::-1])
         cv2.imwrite(str(folder / f"depth/{stamp}.png"), (noisy_depth(view.depth, rng) * 5000).astype(np.uint16))
+        cv2.imwrite(str(folder / f"masks/{i:06d}.png"), view.labels)
         for name in ("rgb", "depth"):
             rows[name].append(f"{stamp} {name}/{stamp}.png")
         W = z_up @ T

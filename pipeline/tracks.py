@@ -132,12 +132,16 @@ def _overlaps(
 def _nearness(
     sightings: Sightings, tracks: Tracks, known: list[int], first_ns: int, s: TrackSettings
 ) -> tuple[Float64, NDArray[np.bool_]]:
-    """exp(-d^2 / 2) of the centroids' distance in sigmas: of the element's own size, and of time unseen."""
+    """exp(-d^2 / 2) of the centroids' distance in sigmas: of the element's own size, and of time unseen.
+
+    What has no label is found again where it was, or not at all: anything could have come to where it went.
+    """
     live = [tracks.live[i] for i in known]
     at = np.array([t.position for t in live], np.float64)
     unseen_s = np.array([first_ns - t.last_ns for t in live]) / 1e9
     spread = np.array([t.spread for t in live])
-    variance = s.position_sigma_m**2 + (0.5 * spread) ** 2 + (s.drift_m_s * unseen_s) ** 2
+    drift = np.minimum(s.drift_m_s * unseen_s, s.drift_most_m) * [bool(t.name) for t in live]
+    variance = s.position_sigma_m**2 + (0.5 * spread) ** 2 + drift**2
     d2 = ((at[:, None] - sightings.rows["position"][None].astype(np.float64)) ** 2).sum(axis=2)
     near = np.exp(-0.5 * d2 / variance[:, None])
     there = np.isfinite(near)

@@ -45,7 +45,7 @@ def read_map(path: Path) -> SavedMap:
 
 
 def read_masks(path: Path) -> Iterator[tuple[int, int, UInt16]]:
-    """Every frame's index, stamp ns and instance masks (H, W): element ids, 0 for none."""
+    """Every frame's index, stamp ns and instance masks (H, W), as they lie in the file: element ids, 0 for none."""
     for _, batch in _batches(path, [INSTANCES]):
         if "SegmentationImage:buffer" not in batch.schema.names:  # their names and colours
             continue

@@ -168,7 +168,8 @@ class TrackSettings:
     position_weight: float = knob(0.25, "weight of the 3-D distance", low=0)
     feature_weight: float = knob(0.25, "weight of label and semantic feature", low=0)
     position_sigma_m: float = knob(0.1, "standard deviation of a centroid beyond the element's own extent, m", low=1e-6)
-    drift_m_s: float = knob(0.5, "and it grows this fast while unseen, m/s", low=0)
+    drift_m_s: float = knob(0.5, "and it grows this fast while an element with a label is unseen, m/s", low=0)
+    drift_most_m: float = knob(1.0, "and by this at most, m", low=0)
     forget_s: float = knob(60.0, "an element unseen for longer is not found again", low=0, high=math.inf)
 
 

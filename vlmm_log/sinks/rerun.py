@@ -165,6 +165,7 @@ class Rerun:
         rec.log("run", document, static=True)
         rec.log("world", UP[run.world_up], static=True)
         log_looks(rec)
+        rec.flush()  # settings and looks are on disk before the first pair, whatever comes
 
     def _at(self, stamp_ns: int, index: int | None) -> None:
         if index is None:
