@@ -33,6 +33,7 @@ from vlmm_log.types import (
 )
 
 FOOTER = b"RRF2FOOT"  # starts the last twelve bytes of a whole recording
+PAIRS_A_FLUSH = 16
 UP = {
     "+z": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
     "+y": rr.ViewCoordinates.RIGHT_HAND_Y_UP,
@@ -52,6 +53,7 @@ class Rerun:
         self.written: Path | None = None  # once closed: where the recording lies, None if it holds no pair
         self._dense = dense
         self._pair: FramePair | None = None
+        self._pairs = 0
         self._K: np.ndarray[Any, Any] | None = None
         self._rec = rr.RecordingStream(
             "vlmm-log",
@@ -83,6 +85,7 @@ class Rerun:
             self._stat(f"stage_ms/{stage}", at, at.elapsed_ms)
         match result:
             case FramePair():
+                self._keep()
                 self._pair = result
                 self._camera(result.first)
                 log_images(rec, result.first)
@@ -176,6 +179,14 @@ class Rerun:
 
     def _log(self, text: str, level: str) -> None:
         self._rec.log("log", rr.TextLog(text, level=level))
+
+    def _keep(self) -> None:
+        """Now and then put everything on disk: small entities would wait for a mebibyte, and a kill would take all."""
+        self._pairs += 1
+        if self._pairs % PAIRS_A_FLUSH == 0:
+            self._stats.flush()
+            self._map.flush()
+            self._rec.flush()
 
     def _camera(self, frame: Frame) -> None:
         if self._K is None or not np.array_equal(frame.K, self._K):

@@ -91,9 +91,13 @@ class MapLog:
             lookup = np.concatenate([[0], found]).astype(np.uint8)
             self._rec.log(f"{IMAGE}/{path}", rr.SegmentationImage(lookup[self._tracked.sightings.segments.labels]))
 
+    def flush(self) -> None:
+        """Send what waits."""
+        self._scalars.flush()
+
     def finish(self) -> None:
         """Send what waits, and the whole background."""
-        self._scalars.flush()
+        self.flush()
         if self._world is not None and len(self._world.background.cells) > self._points:
             self._cloud(self._world)
 
