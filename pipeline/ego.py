@@ -18,6 +18,7 @@ from vlmm_log.pipeline.matches import Matches
 from vlmm_log.settings import EgoSettings
 from vlmm_log.types import CHI2_3_MEDIAN, Ego, Float32, Float64, Segments
 
+CONVERGED = 3e-5  # rad and m: a refit that moves the camera by less is the last
 CHI2_3_QUARTILE = 1.2125329030456688  # a quarter of still points is below it
 
 
@@ -59,7 +60,7 @@ def refine_ego(matches: Matches, segments: Segments, s: EgoSettings, rng: np.ran
         if s.inlier == "sigma":  # the noise model may be off by a factor; the inlier test must not be
             scale2 = float(np.clip(np.quantile(d2, 0.25) / CHI2_3_QUARTILE, 0.25, 4.0))
         fit, step, hessian = _gauss_newton(grid, fit, inverse, d2 / (cut * scale2), s)
-        if np.abs(step).max() < 1e-7:
+        if np.abs(step).max() < CONVERGED:
             break
     inlier_share = float(np.mean(grid.whitened(fit, inverse) < cut * scale2))
     d2 = grid.whitened(fit, grid.inverse_covariances(fit))

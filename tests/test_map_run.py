@@ -200,6 +200,24 @@ def test_instances_are_not_needed(room):
     assert len(done.map.world.background.cells) > 100
 
 
+def test_an_endpoint_that_is_down_is_a_named_fallback(room, tmp_path, monkeypatch):
+    from rerun.chunk import RrdReader
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    s = settings(room, "objects.prior=llm:http://127.0.0.1:9/v1", "read.stop_s=0.12")
+    done = vlmm_log.process(room, rrd=tmp_path / "room.rrd", settings=s)
+    for e in done.map.world.elements.values():
+        assert "llm:" in e.rho_source
+    assert any(told.startswith("movability endpoint http://127.0.0.1:9/v1: ") for told in done.told)
+    log = [
+        text
+        for chunk in RrdReader(str(tmp_path / "room.rrd")).store().stream().filter(content="/log")
+        for (text,) in chunk.to_record_batch()["TextLog:text"].to_pylist()
+    ]
+    for e in done.map.world.elements.values():
+        assert f"movability of {e.label!r}: {e.rho:.2f}, {e.rho_source}" in log
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [

@@ -42,6 +42,7 @@ class Processed:
     summary: Summary
     map: SavedMap
     answers: tuple[Answer, ...]  # of the queries, over the whole map
+    told: tuple[str, ...]  # by the models: an endpoint's cost, a cache's use
 
 
 def process(
@@ -93,7 +94,7 @@ def process(
     if map_target is not None and end.complete:
         save_map(map_target, saved, force=force)
         outputs.append(map_target)
-    return Processed(run, end, tuple(outputs), summary, saved, tuple(watching.answers()))
+    return Processed(run, end, tuple(outputs), summary, saved, tuple(watching.answers()), _told(models))
 
 
 def _recording(path: Path, run: Run, s: Settings) -> Rerun:
@@ -187,6 +188,11 @@ def _close(sink: Sink, end: RunEnd, failure: BaseException | None) -> None:
         if failure is None:
             raise
         failure.add_note(f"then: {e}")
+
+
+def _told(models: Models) -> tuple[str, ...]:
+    """What the models have to tell at the end of a run."""
+    return tuple(report() for report in models.reports)
 
 
 def _free(path: Path, force: bool) -> Path:

@@ -216,7 +216,7 @@ def _report(done: Processed) -> dict[str, object]:
     return {
         "source": done.run.source,
         "reader": done.run.reader,
-        "notes": list(done.run.notes),
+        "notes": [*done.run.notes, *done.told],
         "complete": done.end.complete,
         "input_hash": done.end.input_hash,
         "frames": done.end.frames,
@@ -310,7 +310,7 @@ def _print_table(done: Processed) -> None:
     for found in done.answers:
         names = ", ".join(f"{i} {done.map.world.elements[i].label}".strip() for i in found.ids[:10].tolist())
         console.print(f"{found.text!r}: {found.matches} of the map's elements{': ' if names else ''}{names}")
-    for note in done.run.notes:
+    for note in (*done.run.notes, *done.told):
         console.print(f"  {note}", highlight=False)
     for path in done.outputs:
         size = path.stat().st_size / 1e6

@@ -135,6 +135,9 @@ class Models:
     segment: Segmenter
     embed: Embedder
     prior: MovabilityPrior
+    reports: tuple[
+        Callable[[], str], ...
+    ] = ()  # what a model has to tell at the end: an endpoint's cost, a cache's use
 
 
 @dataclass(frozen=True)

@@ -127,7 +127,7 @@ class EgoSettings:
     instance_share: float = knob(
         0.08, "no instance supplies more than this share of hypotheses and votes; 1: any", low=1e-3, high=1
     )
-    iterations: int = knob(10, "refits at most", low=1, high=100)
+    iterations: int = knob(40, "refits at most", low=1, high=100)
     row_prior_rad: float = knob(0.05, "standard deviation of the row twist's rotation, rad", low=1e-9)
     row_prior_m: float = knob(0.05, "standard deviation of the row twist's translation, m", low=1e-9)
     min_matches: int = knob(200, "fewer: the pair is marked unreliable", low=3)

@@ -56,6 +56,10 @@ class Cost:
     prompt_tokens: int = 0
     completion_tokens: int = 0
 
+    def __str__(self) -> str:
+        tokens = f"{self.prompt_tokens} + {self.completion_tokens} tokens"
+        return f"{self.requests} requests, {self.retries} retries, {tokens}"
+
     def __add__(self, other: Cost) -> Cost:
         return Cost(
             self.requests + other.requests,

@@ -38,6 +38,9 @@ class FeatureCache:
         self.computed += len(missing)
         return features
 
+    def __str__(self) -> str:
+        return f"{self.hits} features found, {self.computed} computed{'; ' * bool(self.note)}{self.note}"
+
     def _path(self, key: str) -> Path:
         return self._folder / key[:2] / f"{key[2:]}.f32"
 

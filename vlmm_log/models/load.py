@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from importlib import metadata
 
 from vlmm_log.models.embedders import load_embedder
-from vlmm_log.models.prior import load_prior
+from vlmm_log.models.feature_cache import FeatureCache
+from vlmm_log.models.prior import LlmPrior, load_prior
 from vlmm_log.models.segmenters import load_segmenter
-from vlmm_log.protocols import FlowEstimator, Models
+from vlmm_log.protocols import Embedder, FlowEstimator, Models, MovabilityPrior
 from vlmm_log.settings import FlowSettings, Settings
 
 
@@ -20,7 +22,16 @@ def load_models(s: Settings) -> tuple[Models, dict[str, str]]:
     segment, of_segments = load_segmenter(s.objects)
     embed, of_features = load_embedder(s.objects)
     prior, of_prior = load_prior(s.objects, embed)
-    return Models(flow, segment, embed, prior), of_flow | of_segments | of_features | of_prior
+    models = Models(flow, segment, embed, prior, tuple(_reports(embed, prior)))
+    return models, of_flow | of_segments | of_features | of_prior
+
+
+def _reports(embed: Embedder, prior: MovabilityPrior) -> Iterator[Callable[[], str]]:
+    if isinstance(prior, LlmPrior):
+        yield lambda: f"movability endpoint {prior.endpoint.where}: {prior.endpoint.cost}"
+    cache = getattr(embed, "cache", None)
+    if isinstance(cache, FeatureCache):
+        yield lambda: f"feature cache: {cache}"
 
 
 def _load_flow(s: FlowSettings) -> tuple[FlowEstimator, dict[str, str]]:

@@ -41,6 +41,7 @@ class MapLog:
         self._names: dict[int, str] = {}  # of the masks' classes
         self._states: dict[int, tuple[str, str]] = {}
         self._asked: set[str] = set()  # paths of queries
+        self._priors: set[str] = set()  # what was told of labels
         self._points = 0
 
     def tracked(self, result: Tracked) -> None:
@@ -69,6 +70,7 @@ class MapLog:
         for i in result.touched:
             if i in result.elements:
                 self._history(result.elements[i], at)
+                self._prior(result.elements[i])
         self._features(result, at)
         if len(result.background.cells) > GROWTH * self._points:
             self._cloud(result)
@@ -136,6 +138,13 @@ class MapLog:
             self._rec.log(path, rr.StateChange(state=list(state)))
         self._scalars.add(f"{path}/o", at, float(latest["o"]))
         self._scalars.add(f"{path}/kappa", at, float(latest["kappa"]))
+
+    def _prior(self, element: Element) -> None:
+        """Once a label: its movability and where that comes from, a fallback too."""
+        told = f"movability of {element.label!r}: {element.rho:.2f}, {element.rho_source}"
+        if told not in self._priors:
+            self._priors.add(told)
+            self._rec.log("log", rr.TextLog(told, level="INFO"))
 
     def _features(self, result: WorldMap, at: Moment) -> None:
         """Semantic features that this frame gave, so that the recording holds the whole map."""
