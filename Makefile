@@ -2,7 +2,7 @@
 VENV ?= .venv
 PY := $(VENV)/bin/python
 
-.PHONY: demo test check bench picture house clean
+.PHONY: demo test check bench router picture house clean
 
 $(VENV)/.ready: pyproject.toml
 	python3 -m venv $(VENV)
@@ -32,6 +32,12 @@ check: $(VENV)/.ready house  ## lint, format, types
 
 bench: $(VENV)/.ready  ## speed as ratios, from one run
 	$(PY) -m benchmarks.kernels
+	$(PY) -m benchmarks.objects
+	$(PY) -m benchmarks.query
+	$(PY) -m benchmarks.segmenters
+
+router: $(VENV)/.ready  ## routing accuracy of both query parsers
+	$(PY) -m benchmarks.router
 
 picture: demo  ## the README's picture, from the demo, by the headless viewer (needs Vulkan)
 	$(PY) examples/viewer_picture.py demo/room.rrd docs/viewer.png 12

@@ -69,7 +69,7 @@ def test_metric_rigid_fit_is_kabsch_on_its_inliers(noisy):
     a, b = grid.first.T.astype(float), grid.second.T.astype(float)
     T = ego.T_second_first
     inlier = np.linalg.norm(b - a @ T[:3, :3].T - T[:3, 3], axis=1) < 0.02
-    np.testing.assert_allclose(se3.kabsch(a[inlier], b[inlier]), T, atol=1e-5)
+    np.testing.assert_allclose(se3.kabsch(a[inlier], b[inlier]), T, atol=5e-5)
     assert ego.inlier_share == pytest.approx(inlier.mean(), abs=1e-3)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from vlmm_log.elements import Elements, MotionClass
 from vlmm_log.pipeline.query import answer
+from vlmm_log.pipeline.query_explain import explain
 from vlmm_log.queries import Answer, Query, View
 from vlmm_log.settings import MapSettings, QuerySettings, Settings
 from vlmm_log.types import Float64, InputError
@@ -49,7 +50,10 @@ def parse(texts: Sequence[str], s: Settings) -> tuple[Query, ...]:
     for query in queries:
         if query.unparsed:
             words = ", ".join(repr(word) for word in query.unparsed)
-            raise InputError(f"query {query.text!r}: not understood: {words}; leave it out or say it otherwise")
+            raise InputError(
+                f"query {query.text!r}: not understood: {words}; leave it out or say it otherwise"
+                f" (understood: {explain(replace(query, unparsed=()))})"
+            )
     return queries
 
 
