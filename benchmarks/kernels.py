@@ -75,7 +75,7 @@ def logging_share(pair: FramePair, models: Models, s: Settings) -> tuple[float, 
         run = Run("bench", "bench", s.to_toml(), {}, True, "+z", ())
         sink = Rerun(Path(folder) / "bench.rrd", run, recording_id="bench", dense=False)
         shares, whole = [], []
-        world = empty_world(s)
+        world = empty_world(s, has_poses=True)
         for _ in range(20):
             timed = Timed(sink)
             began = time.perf_counter()

@@ -18,7 +18,8 @@ import cv2
 import numpy as np
 
 from benchmarks.kernels import milliseconds, one_pair, textbook
-from vlmm_log.elements import OBSERVATION, Sightings, Tracked, empty_background
+from vlmm_log.background import empty_background
+from vlmm_log.elements import OBSERVATION, Sightings, Tracked
 from vlmm_log.models.dis import Dis
 from vlmm_log.models.prior import TablePrior, read_table
 from vlmm_log.models.words import Words
@@ -77,13 +78,13 @@ def main() -> None:
         tracks = timed("remember", lambda: remember(world.tracks, tracked, now, flow, s.tracks))
         background = timed("background", lambda: seen_background(now, motion, odometry, s.map.voxel_m))
         updated = timed("update of the map", lambda: update(world.map, tracked, background))
-        return World(timed("fuse", lambda: fuse(updated, prior, s.map)), tracks, odometry)
+        return World(timed("fuse", lambda: fuse(updated, prior, s.map)), tracks, True, odometry)
 
     def later(k: int) -> FramePair:
         moved = (replace(f, stamp_ns=f.stamp_ns + k * 33_000_000, index=f.index + k) for f in (pair.first, pair.second))
         return FramePair(*moved)
 
-    world = empty_world(s)
+    world = empty_world(s, has_poses=True)
     for k in range(HISTORY):
         world = timed("all object work of a pair", lambda k=k, world=world: objects(later(k), world))  # type: ignore[misc]
     naive = milliseconds(lambda: textbook.aggregate(pair, segments, motion, s.objects), repeats=3)

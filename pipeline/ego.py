@@ -116,10 +116,13 @@ class _Grid:
         return _Grid(matches, kept, rays, j.astype(np.int32), u[i], v, first, second)
 
     def balanced(self, segments: Segments, most: float) -> Float64:
-        """(N,) sampling weights under which no instance has more than a share ``most`` of all matches."""
+        """(N,) sampling weights under which no instance has more than a share ``most`` of the whole weight."""
         label = segments.labels[self.image_rows[self.row], self.column]
-        counts = np.maximum(np.bincount(label, minlength=len(segments) + 1), 1)
-        weight = np.minimum(most * self.count / counts, 1.0)
+        counts = np.bincount(label, minlength=len(segments) + 1)
+        if segments.partition:
+            return np.ones(label.size)
+        cap = most * total_weight(counts[1:], int(counts[0]), most)
+        weight = np.minimum(cap / np.maximum(counts, 1), 1.0)
         weight[0] = 1.0  # pixels of no instance
         return np.asarray(weight[label])
 
@@ -141,6 +144,22 @@ class _Grid:
         d2 = np.empty(self.count, np.float32)
         ek.whitened(self.first, self.second, inverse, self.row, self.rows(fit), d2)
         return d2
+
+
+def total_weight(counts: NDArray[np.int64], others: int, most: float) -> float:
+    """The total T = others + sum of min(count, most T): what is left once every instance is capped at its share.
+
+    Where the instances are too few for it (5 masks over the whole image at 8 %), no cap: all matches.
+    """
+    rest = float(others + counts.sum())
+    whole, kept = rest, 1.0
+    for count in np.sort(counts)[::-1]:
+        if count <= most * rest / kept:
+            return rest / kept
+        rest, kept = rest - count, kept - most
+        if rest <= 0 or kept <= 0:
+            return whole / most
+    return rest / kept
 
 
 def _consensus(

@@ -91,10 +91,13 @@ def _speed(moved: Observations) -> float:
 
 
 def motion_intervals(seen: Observations, moved: NDArray[np.bool_], pairs: int) -> Int64:
-    """(m, 2) ns: runs of at least ``pairs`` observations in a row that moved; of all, if there are fewer."""
-    if not moved.any():
+    """(m, 2) ns: runs of at least ``pairs`` observations in a row that moved. Time unseen ends a run."""
+    if np.count_nonzero(moved) < pairs:
         return np.zeros((0, 2), np.int64)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], moved, [False]]).astype(np.int8)))
-    runs = edges.reshape(-1, 2)
-    runs = runs[runs[:, 1] - runs[:, 0] >= min(pairs, seen.size)]
-    return np.array([[seen["first_ns"][a], seen["second_ns"][a:b].max()] for a, b in runs], np.int64).reshape(-1, 2)
+    steps = np.diff(seen["first_ns"])
+    usual = 2 * steps[steps > 0].min(initial=np.iinfo(np.int64).max // 2)
+    apart = steps > np.maximum(usual, seen["second_ns"][:-1] - seen["first_ns"][:-1])
+    run = np.concatenate([[0], np.cumsum(apart | ~moved[1:] | ~moved[:-1])])
+    kept = [members for r in np.unique(run[moved]) if (members := np.flatnonzero(run == r)).size >= pairs]
+    spans = [[seen["first_ns"][m[0]], seen["second_ns"][m].max()] for m in kept]
+    return np.array(spans, np.int64).reshape(-1, 2)

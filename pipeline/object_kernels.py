@@ -12,7 +12,7 @@ from vlmm_log.types import Float32, Float64, Int32, Int64
 f32 = np.float32
 FENCE = f32(1.5)  # Tukey's: depths this many interquartile ranges beyond the quartiles are not the instance's
 SLACK_M = f32(0.02)
-SAMPLE = 1024  # depths of an instance, or a few more, tell its place and size
+SAMPLE = 1024  # depths of an instance, or up to twice as many, tell its place and size
 BINS = 256  # of the histogram that a quantile is looked up in
 TILE = 16  # px, side of the patches in which a moving part must show
 
@@ -72,21 +72,21 @@ def gather(
     d_m: Float32,
     residual: Float32,
     tau: np.float32,
-    starts: Int64,
-    every: Int32,
+    lattice: Int32,
+    ends: Int64,
     pixels: Int32,
     depths: Float32,
     scores: Float32,
     sums: Float64,
 ) -> None:
-    """Sort scores, and ``every``-th (n,) depths with their pixels, by instance from ``starts`` (n, 2) on.
+    """Sort scores, and a sample of the depths with their pixels, by instance, and sum the residuals.
 
-    And sum the residuals.
+    ends (n, 2): where each instance's depths and scores start; then where they end. lattice (n, 2): every how many
+    pixels a depth is taken, and by how much that shifts from row to row.
 
     sums (n, 10): pixels above tau; unit residuals of those (3), of all scored (3); residuals of those above (3).
     """
-    at = starts.copy()
-    left = np.zeros(every.size, np.int32)  # depths to pass over
+    at = ends
     sums[:] = 0.0
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
@@ -94,13 +94,10 @@ def gather(
             if k < 0:
                 continue
             z, d = depth[v, u], d_m[v, u]
-            if z == z:
-                if left[k] == 0:
-                    depths[at[k, 0]] = z
-                    pixels[at[k, 0]] = v * labels.shape[1] + u
-                    at[k, 0] += 1
-                    left[k] = every[k]
-                left[k] -= 1
+            if z == z and (u + v * lattice[k, 1]) % lattice[k, 0] == 0:
+                depths[at[k, 0]] = z
+                pixels[at[k, 0]] = v * labels.shape[1] + u
+                at[k, 0] += 1
             if d == d:
                 scores[at[k, 1]] = d
                 at[k, 1] += 1
@@ -126,14 +123,14 @@ def _bin(x: Any, low: Any, scale: Any) -> Any:
 
 
 @jit
-def quantiles(values: Float32, starts: Int64, share: np.float32, out: Float32) -> None:
-    """The quantile of each run ``values[starts[k]:starts[k + 1]]``, linear between neighbours; NaN of an empty one.
+def quantiles(values: Float32, starts: Int64, ends: Int64, share: np.float32, out: Float32) -> None:
+    """The quantile of each run ``values[starts[k]:ends[k]]``, linear between neighbours; NaN of an empty one.
 
     A histogram finds the bin that holds it, so that only a few values need sorting out.
     """
     counts, few = np.empty(BINS, np.int64), np.empty(values.size, np.float32)
-    for k in range(starts.size - 1):
-        run = values[starts[k] : starts[k + 1]]
+    for k in range(starts.size):
+        run = values[starts[k] : ends[k]]
         if run.size == 0:
             out[k] = np.nan
             continue
@@ -189,16 +186,23 @@ def quantiles(values: Float32, starts: Int64, share: np.float32, out: Float32) -
 
 @jit
 def shapes(
-    depth: Float32, pixels: Int32, starts: Int64, fences: Float32, camera: Camera, mean: Float64, cov: Float64
+    depth: Float32,
+    pixels: Int32,
+    starts: Int64,
+    ends: Int64,
+    fences: Float32,
+    camera: Camera,
+    mean: Float64,
+    cov: Float64,
 ) -> None:
     """Mean (n, 3) m and covariance (n, 6) m^2 of the points whose depth lies within the fences (n, 2); NaN if none."""
     width = depth.shape[1]
     flat = depth.ravel()
     total = np.zeros(9)
-    for k in range(starts.size - 1):
+    for k in range(starts.size):
         total[:] = 0.0
         m = 0
-        for i in range(starts[k], starts[k + 1]):
+        for i in range(starts[k], ends[k]):
             p = pixels[i]
             z = flat[p]
             if z < fences[k, 0] or z > fences[k, 1]:
@@ -225,11 +229,13 @@ def shapes(
 
 
 @jit
-def carried_overlap(before: Int32, flow: Float32, share: np.float32, labels: Int32, areas: Int32, both: Int32) -> None:
+def carried_overlap(
+    before: Int32, flow: Float32, share: np.float32, labels: Int32, landed: Int32, areas: Int32, both: Int32
+) -> None:
     """Carry an earlier frame's masks by a share of its flow onto a frame's own masks.
 
-    before (H, W): 0 none, i + 1 for mask i. areas (m,): pixels of each that stay in view; both (m, n): pixels that
-    land on each of the n instances of ``labels``.
+    before (H, W): 0 none, i + 1 for mask i. landed (H, W): 0, then the last mask to land on a pixel. areas (m,): pixels
+    that each covers; both (m, n): those of them on each of the n instances of ``labels``.
     """
     areas[:] = 0
     both[:] = 0
@@ -243,6 +249,9 @@ def carried_overlap(before: Int32, flow: Float32, share: np.float32, labels: Int
             y = np.int64(np.rint(f32(v) + share * flow[v, u, 1]))
             if x < 0 or y < 0 or x >= W or y >= H:
                 continue
+            if landed[y, x] == i + 1:  # a mask that shrinks lands several times on a pixel
+                continue
+            landed[y, x] = i + 1
             areas[i] += 1
             k = labels[y, x] - 1
             if k >= 0:

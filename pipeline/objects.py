@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,24 +24,15 @@ def aggregate(
     tau = f32(motion.tau_px)
     counts, parts, boxes = np.empty((n, 3), np.int32), np.empty(n, np.int32), np.empty((n, 4), np.int32)
     ok.count(segments.labels, first.depth, motion.d_m, tau, counts, parts, boxes)
-    every = np.maximum(counts[:, 1] // ok.SAMPLE, 1)
-    by_depth, by_score = _starts(-(-counts[:, 1] // every)), _starts(counts[:, 2])
-    pixels, depths = np.empty(by_depth[-1], np.int32), np.empty(by_depth[-1], np.float32)
-    scores, sums = np.empty(by_score[-1], np.float32), np.empty((n, 10))
-    starts = np.stack([by_depth[:-1], by_score[:-1]], axis=1)
+    starts = np.stack([_starts(counts[:, 1]), _starts(counts[:, 2])], axis=1)
+    ends = starts.copy()
+    pixels, depths = np.empty(counts[:, 1].sum(), np.int32), np.empty(counts[:, 1].sum(), np.float32)
+    scores, sums = np.empty(counts[:, 2].sum(), np.float32), np.empty((n, 10))
+    lattice = np.array([_lattice(int(c)) for c in counts[:, 1]], np.int32).reshape(n, 2)
     ok.gather(
-        segments.labels,
-        first.depth,
-        motion.d_m,
-        motion.residual,
-        tau,
-        starts,
-        every,
-        pixels,
-        depths,
-        scores,
-        sums,
+        segments.labels, first.depth, motion.d_m, motion.residual, tau, lattice, ends, pixels, depths, scores, sums
     )
+    by_depth, by_score = (starts[:, 0], ends[:, 0]), (starts[:, 1], ends[:, 1])
     rows = np.zeros(n, OBSERVATION)
     rows["first_ns"], rows["second_ns"], rows["index"] = first.stamp_ns, pair.second.stamp_ns, first.index
     rows["pixels"], rows["scored"] = counts[:, 0], counts[:, 2]
@@ -53,13 +46,25 @@ def aggregate(
     return Sightings(segments, rows, boxes, observed)
 
 
+Runs = tuple[NDArray[np.int64], NDArray[np.int64]]  # where each instance's values start and end
+
+
 def _starts(counts: NDArray[np.int32]) -> NDArray[np.int64]:
-    return np.concatenate([np.zeros(1, np.int64), np.cumsum(counts, dtype=np.int64)])
+    return np.cumsum(counts, dtype=np.int64) - counts
 
 
-def _quantile(values: Float32, starts: NDArray[np.int64], share: float) -> Float32:
-    out = np.empty(starts.size - 1, np.float32)
-    ok.quantiles(values, starts, f32(share), out)
+def _lattice(count: int) -> tuple[int, int]:
+    """Every how many pixels a depth is taken, and its shift from row to row: spread evenly whatever a mask's width."""
+    every = max(count // ok.SAMPLE, 1)
+    shift = max(round(0.618 * every), 1)
+    while math.gcd(shift, every) > 1:
+        shift += 1
+    return every, shift
+
+
+def _quantile(values: Float32, runs: Runs, share: float) -> Float32:
+    out = np.empty(runs[0].size, np.float32)
+    ok.quantiles(values, *runs, f32(share), out)
     return out
 
 
@@ -74,18 +79,18 @@ def _reliability(rows: Observations, sums: Float64, s: ObjectSettings) -> None:
 
 
 def _shape(
-    depth: Float32, pixels: NDArray[np.int32], depths: Float32, starts: NDArray[np.int64], K: Float64
+    depth: Float32, pixels: NDArray[np.int32], depths: Float32, runs: Runs, K: Float64
 ) -> tuple[Float64, Float64]:
     """Mean (n, 3) and covariance (n, 6) in the camera of the sampled points that Tukey's fences on depth keep.
 
     A mask's border often holds a strip of what lies behind.
     """
-    low, high = _quantile(depths, starts, 0.25), _quantile(depths, starts, 0.75)
+    low, high = _quantile(depths, runs, 0.25), _quantile(depths, runs, 0.75)
     reach = ok.FENCE * (high - low) + ok.SLACK_M
     fences = np.stack([low - reach, high + reach], axis=1)
     camera = Camera(f32(K[0, 0]), f32(K[1, 1]), f32(K[0, 2]), f32(K[1, 2]))
-    mean, cov = np.empty((starts.size - 1, 3)), np.empty((starts.size - 1, 6))
-    ok.shapes(depth, pixels, starts, fences, camera, mean, cov)
+    mean, cov = np.empty((low.size, 3)), np.empty((low.size, 6))
+    ok.shapes(depth, pixels, *runs, fences, camera, mean, cov)
     return mean, cov
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,12 +33,13 @@ class World:
 
     map: WorldMap
     tracks: Tracks
+    has_poses: bool  # whether the log has any: then the map lies in their world
     odometry: Odometry | None = None
 
 
-def empty_world(s: Settings) -> World:
+def empty_world(s: Settings, *, has_poses: bool) -> World:
     """Nothing yet."""
-    return World(empty_map(s.map), Tracks())
+    return World(empty_map(s.map), Tracks(), has_poses)
 
 
 def step(pair: FramePair, world: World, models: Models, s: Settings, observe: Observe = unseen) -> World:
@@ -52,11 +53,15 @@ def step(pair: FramePair, world: World, models: Models, s: Settings, observe: Ob
     sightings = observe(aggregate(pair, segments, motion, ego, odometry, s.objects))
     features = observe(Features(models.embed.regions(pair.first, segments)))
     tracked = observe(associate(sightings, features, world.tracks, pair.first.stamp_ns, s.tracks))
-    tracks = remember(world.tracks, tracked, pair, flow, s.tracks)
+    after = replace(world, tracks=remember(world.tracks, tracked, pair, flow, s.tracks), odometry=odometry)
+    if world.has_poses and not odometry.anchored:
+        first = pair.first
+        observe(Skipped(first.stamp_ns, f"pair of frame {first.index}", "no pose yet: not in the map", first.index))
+        return after
     if not ego.reliable:  # told by ``ego``; nothing of it enters the map
-        return World(world.map, tracks, odometry)
+        return after
     background = seen_background(pair, motion, odometry, s.map.voxel_m)
-    return World(observe(fuse(update(world.map, tracked, background), models.prior, s.map)), tracks, odometry)
+    return replace(after, map=observe(fuse(update(world.map, tracked, background), models.prior, s.map)))
 
 
 @dataclass

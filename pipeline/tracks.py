@@ -27,7 +27,7 @@ class Track:
 
     name: str
     feature: Float32  # (D,)
-    position: Float32  # (3,) m, world
+    position: Float32  # (3,) m, world; NaN where it had no depth
     spread: float  # m, root mean variance of its points
     last_ns: int
 
@@ -58,12 +58,13 @@ def associate(sightings: Sightings, features: Features, tracks: Tracks, first_ns
     ids = segments.identities.copy()
     similarity = (ids >= 0).astype(np.float32)
     free = np.flatnonzero(ids < 0)
-    given = set(ids.tolist())
-    known = [i for i in tracks.live if i not in given]
+    given, oldest_ns = set(ids.tolist()), first_ns - s.forget_s * 1e9
+    known = [i for i, track in tracks.live.items() if i not in given and track.last_ns >= oldest_ns]
     if free.size and known:
         score = _similarities(sightings, features, tracks, known, first_ns, s)[:, free]
+        score[score < s.min_similarity] = 0.0  # else a sum of poor ones may outweigh a good one
         for row, column in zip(*linear_sum_assignment(-score), strict=True):
-            if score[row, column] >= s.min_similarity:
+            if score[row, column] > 0:
                 ids[free[column]], similarity[free[column]] = known[row], score[row, column]
     new = np.flatnonzero(ids < 0)
     fresh = max(tracks.next_id, int(ids.max(initial=0)) + 1)
@@ -77,11 +78,9 @@ def remember(tracks: Tracks, tracked: Tracked, pair: FramePair, flow: FlowField,
     rows, segments = tracked.sightings.rows, tracked.sightings.segments
     now = pair.first.stamp_ns
     live = {i: t for i, t in tracks.live.items() if now - t.last_ns <= s.forget_s * 1e9}
-    placed = np.isfinite(rows["position"]).all(axis=1)
     spread = np.sqrt(np.maximum(rows["extent"][:, [0, 3, 5]].mean(axis=1), 0.0))
-    for k in np.flatnonzero(placed).tolist():
-        track = Track(segments.names[k], tracked.features[k], rows["position"][k], float(spread[k]), now)
-        live[int(tracked.ids[k])] = track
+    for k, element in enumerate(tracked.ids.tolist()):
+        live[element] = Track(segments.names[k], tracked.features[k], rows["position"][k], float(spread[k]), now)
     carried = Carried(segments.labels, tracked.ids, flow.forward, now, pair.second.stamp_ns)
     return Tracks(max(tracks.next_id, int(tracked.ids.max(initial=0)) + 1), live, carried)
 
@@ -119,9 +118,10 @@ def _overlaps(
         return iou, there
     areas = np.empty(carried.ids.size, np.int32)
     both = np.empty((carried.ids.size, len(segments)), np.int32)
-    ok.carried_overlap(carried.labels, carried.flow, f32(share), segments.labels, areas, both)
+    landed = np.zeros(segments.labels.shape, np.int32)
+    ok.carried_overlap(carried.labels, carried.flow, f32(share), segments.labels, landed, areas, both)
     union = areas[:, None] + sightings.rows["pixels"][None, :] - both
-    ratio = both / np.maximum(union, 1)
+    ratio = np.minimum(both / np.maximum(union, 1), 1.0)  # a pixel can be landed on by turns
     place = {element: row for row, element in enumerate(known)}
     for i, element in enumerate(carried.ids.tolist()):
         if element in place:

@@ -8,25 +8,17 @@ from typing import cast
 
 import numpy as np
 
-from vlmm_log.elements import (
-    OBSERVATION,
-    Background,
-    Evidence,
-    Observations,
-    Tracked,
-    WorldMap,
-    empty_background,
-)
+from vlmm_log.background import KEY_LIMIT, Background, empty_background, grown, summed
+from vlmm_log.elements import OBSERVATION, Evidence, Observations, Tracked, WorldMap
 from vlmm_log.settings import MapSettings
-from vlmm_log.types import FramePair, Int64, Motion, Odometry
+from vlmm_log.types import FramePair, Motion, Odometry
 
 CLOUD_STRIDE = 8  # every n-th row and column of a frame feeds the background
-CELL_LIMIT = 1 << 20  # voxels to either side of the origin: three coordinates fit one integer
 
 
 def empty_map(s: MapSettings) -> WorldMap:
     """Nothing seen yet."""
-    return WorldMap({}, {}, empty_background(s.voxel_m))
+    return WorldMap({}, {}, (empty_background(s.voxel_m),))
 
 
 def update(world: WorldMap, tracked: Tracked, background: Background) -> WorldMap:
@@ -46,17 +38,21 @@ def update(world: WorldMap, tracked: Tracked, background: Background) -> WorldMa
         )
         evidence[element] = merge_evidence(evidence[element], own) if element in evidence else own
         touched.append(element)
-    return WorldMap(evidence, world.elements, merge_backgrounds(world.background, background), tuple(sorted(touched)))
+    return WorldMap(evidence, world.elements, grown(world.clouds, background), tuple(sorted(touched)))
 
 
 def merge(a: WorldMap, b: WorldMap) -> WorldMap:
-    """The map of both's observations. Raises ValueError for different voxels. Needs ``fuse`` for what both hold."""
+    """The map of both's observations. Needs ``fuse`` for what both hold.
+
+    Ids must mean the same in both: halves of one run, or identities of the source. Raises ValueError for different
+    voxels.
+    """
     evidence = dict(a.evidence)
     for element, theirs in b.evidence.items():
         evidence[element] = merge_evidence(evidence[element], theirs) if element in evidence else theirs
     both = tuple(sorted(a.evidence.keys() & b.evidence.keys()))
     elements = dict(a.elements) | {i: e for i, e in b.elements.items() if i not in a.evidence}
-    return WorldMap(evidence, elements, merge_backgrounds(a.background, b.background), both)
+    return WorldMap(evidence, elements, grown(a.clouds, b.background), both)
 
 
 def merge_evidence(a: Evidence, b: Evidence) -> Evidence:
@@ -124,29 +120,6 @@ def seen_background(pair: FramePair, motion: Motion, odometry: Odometry, voxel_m
     rays = np.linalg.solve(first.K, np.stack([u, v, np.ones_like(u)]).astype(np.float64))
     T = odometry.T_world_first
     cells = np.floor((T[:3, :3] @ (rays * z) + T[:3, 3:]).T / voxel_m)
-    inside = (np.abs(cells) < CELL_LIMIT).all(axis=1)
+    inside = (np.abs(cells) < KEY_LIMIT).all(axis=1)
     sums = np.concatenate([np.ones((u.size, 1), np.int64), first.rgb[v, u].astype(np.int64)], axis=1)
-    return _summed(cells[inside].astype(np.int64), sums[inside], voxel_m)
-
-
-def merge_backgrounds(a: Background, b: Background) -> Background:
-    """Sums of both, voxel by voxel. Raises ValueError for different voxels."""
-    if a.voxel_m != b.voxel_m:
-        raise ValueError(f"voxels of {a.voxel_m} m and {b.voxel_m} m do not merge")
-    if not a.sums.size or not b.sums.size:
-        return a if a.sums.size else b
-    cells = np.concatenate([a.cells, b.cells]).astype(np.int64)
-    return _summed(cells, np.concatenate([a.sums, b.sums]), a.voxel_m)
-
-
-def _summed(cells: Int64, sums: Int64, voxel_m: float) -> Background:
-    """Each voxel once, in lexicographic order."""
-    shifted = cells + CELL_LIMIT
-    keys = (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
-    order = np.argsort(keys, kind="stable")
-    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    return Background(
-        voxel_m,
-        cells[order][starts].astype(np.int32),
-        np.add.reduceat(sums[order], starts, axis=0) if starts.size else sums[:0],
-    )
+    return summed(cells[inside].astype(np.int64), sums[inside], voxel_m)

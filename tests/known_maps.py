@@ -8,15 +8,14 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from vlmm_log.background import Background, empty_background
 from vlmm_log.elements import (
     OBSERVATION,
-    Background,
     Element,
     Evidence,
     MotionClass,
     Movability,
     WorldMap,
-    empty_background,
 )
 from vlmm_log.maps import SavedMap
 from vlmm_log.types import Run, RunEnd
@@ -100,7 +99,7 @@ def world(elements=(), pending=(), voxels=None):
     """A map of elements, of evidence too small to be one, and of a background."""
     elements = {e.id: e for e in elements}
     seen = {e.id: e.evidence for e in elements.values()} | {e.id: e for e in pending}
-    return WorldMap(seen, elements, empty_background(0.05) if voxels is None else voxels)
+    return WorldMap(seen, elements, (empty_background(0.05) if voxels is None else voxels,))
 
 
 def saved(world_map=None, *, world_up="+z", T_world_cam=None, source="kitchen"):

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vlmm_log import se3
 from vlmm_log.models.segmenters import no_segments
-from vlmm_log.pipeline.ego import _Grid, refine_ego
+from vlmm_log.pipeline.ego import _Grid, refine_ego, total_weight
 from vlmm_log.pipeline.matches import match
 from vlmm_log.pipeline.motion import measure_motion
 from vlmm_log.settings import EgoSettings, Settings
@@ -178,3 +180,27 @@ def test_a_large_mover_does_not_pass_for_the_world_once_it_is_an_instance(model)
 
     assert sideways(1.0) == pytest.approx(6.0 * z / 110.0, abs=0.01)  # the majority
     assert sideways(0.08) == pytest.approx(0.0, abs=0.005)
+
+
+@given(st.lists(st.integers(0, 5000), max_size=30), st.integers(0, 5000), st.floats(0.01, 1))
+def test_no_instance_has_more_than_its_share_of_the_weight(counts, others, most):
+    counts = np.array(counts, np.int64)
+    total = total_weight(counts, others, most)
+    capped = np.minimum(counts, most * total)
+    if capped.sum() + others > 0 and (capped < counts).any():
+        assert capped.sum() + others == pytest.approx(total)
+        assert capped.max() <= most * total * (1 + 1e-9)
+    elif counts.size and counts.max() > most * (counts.sum() + others) * (1 + 1e-9):
+        assert len(counts) * most < 1 + 1e-9 or others == 0  # too few to share the weight: left as they are
+
+
+def test_pieces_of_the_whole_view_are_left_alone():
+    """A still wall of three quarters and three pieces of one mover: capped, the pieces would outvote the wall."""
+    matches, labels = room_pair(TWIST, np.random.default_rng(0))
+    pieces = (np.indices(labels.shape)[1] * 4 // labels.shape[1] + 1).astype(np.int32)
+    parts = Segments(pieces, ("",) * 4, np.ones(4, np.float32), np.full(4, -1), partition=True)
+    grid = _Grid.gather(matches, 4)
+    assert (grid.balanced(parts, 0.08) == 1).all()
+    things = replace(parts, partition=False)
+    assert (grid.balanced(things, 0.08) == 1).all()  # four masks cannot have 8 % each
+    assert grid.balanced(things, 0.3).min() < 1 or np.bincount(pieces.ravel()).max() <= 0.3 * pieces.size

@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-GROUND = {"types", "elements", "query_tree", "queries", "se3", "settings", "protocols"}
+GROUND = {"types", "background", "elements", "query_tree", "queries", "se3", "settings", "protocols"}
 ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/types.py": set(),
     "vlmm_log/version.py": set(),
     "vlmm_log/se3.py": {"types"},
     "vlmm_log/settings.py": {"types"},
-    "vlmm_log/elements.py": {"types"},
+    "vlmm_log/background.py": {"types"},
+    "vlmm_log/elements.py": {"types", "background"},
     "vlmm_log/queries.py": {"types", "query_tree"},
     "vlmm_log/query_tree.py": {"types", "elements"},
     "vlmm_log/maps": GROUND | {"maps"},

@@ -22,7 +22,8 @@ from known_maps import (
     singles,
     world,
 )
-from vlmm_log.elements import OBSERVATION, Background, MotionClass, columns
+from vlmm_log.background import Background
+from vlmm_log.elements import OBSERVATION, MotionClass, columns
 from vlmm_log.maps import load_map, save_map
 from vlmm_log.maps.json import shortest
 from vlmm_log.maps.parquet_schema import schema

@@ -1,5 +1,6 @@
 """Whole runs with objects: the map they make, what recordings keep of it, queries over both."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -11,14 +12,20 @@ import pytest
 
 import render_room
 import vlmm_log
-from known_maps import bits
-from vlmm_log.ask import find
-from vlmm_log.elements import MotionClass
+from known_maps import bits, evidence, observations
+from vlmm_log.ask import Questions, find, parse
+from vlmm_log.background import empty_background
+from vlmm_log.elements import MotionClass, Movability, WorldMap
 from vlmm_log.maps import load_map, save_map
 from vlmm_log.models.load import load_models
+from vlmm_log.models.words import Words
+from vlmm_log.pipeline.fusion import fuse
 from vlmm_log.pipeline.run import Tally, empty_world, keyframe_pairs, step
+from vlmm_log.pipeline.world_map import merge_evidence
 from vlmm_log.recording import read_map, read_masks
+from vlmm_log.settings import MapSettings
 from vlmm_log.sinks.memory import Memory
+from vlmm_log.sinks.rerun_map import slug
 from vlmm_log.types import InputError
 
 QUERIES = ("the box that slides", "things that never moved")
@@ -68,7 +75,7 @@ def test_the_map_does_not_depend_on_the_order_of_pairs_where_identities_are_give
     models, _ = load_models(s)
     log = vlmm_log.open_log(room)
     pairs = [p for p in keyframe_pairs(log.frames(0, 10**18), s, Tally()) if hasattr(p, "first")]
-    world = empty_world(s)
+    world = empty_world(s, has_poses=True)
     for k in (3, 0, 5, 2, 1, 4):
         world = step(pairs[k], world, models, s)
     assert len(pairs) == 6
@@ -140,6 +147,78 @@ def test_hits_open_with_the_recording(run, tmp_path):
         find(run[1], QUERIES[0], rrd=tmp_path / "hits.rrd")
 
 
+def test_masks_of_the_answers_are_written(run, room, tmp_path):
+    import cv2
+
+    found = find(run[1], QUERIES[0], masks=tmp_path / "masks")
+    assert found.outputs == (tmp_path / "masks",)
+    for index in range(6):
+        own = cv2.imread(str(room / f"masks/{index:06d}.png"), cv2.IMREAD_UNCHANGED)
+        hit = cv2.imread(str(tmp_path / f"masks/{index:06d}.png"), cv2.IMREAD_UNCHANGED)
+        assert (hit == 255 * (own == 3)).all()
+    with pytest.raises(InputError, match="--force"):
+        find(run[1], QUERIES[0], masks=tmp_path / "masks")
+    with pytest.raises(InputError, match="a map file holds no masks"):
+        find(run[2], QUERIES[0], masks=tmp_path / "more")
+
+
+def test_elements_histories_are_states(run):
+    from rerun.chunk import RrdReader
+
+    states = {}
+    for chunk in RrdReader(str(run[1])).store().stream().filter(content="/world/map/elements/**"):
+        batch = chunk.to_record_batch()
+        if "StateChange:state" in batch.schema.names:
+            rows = zip(batch["frame"].to_pylist(), batch["StateChange:state"].to_pylist(), strict=True)
+            states.setdefault(chunk.entity_path, []).extend(rows)
+    assert sorted(states["/world/map/elements/3"]) == [(0, ["moving", "still"]), (2, ["moving", "moves"])]
+    assert states["/world/map/elements/2"] == [(0, ["static", "still"])]
+
+
+def test_queries_that_differ_in_signs_have_entities_of_their_own():
+    texts = ("rho >= 0.8", "rho <= 0.8", "the box", "The box", "\u6905\u5b50", "\u684c\u5b50", "the_box", "!!!")
+    assert len({slug(text) for text in texts}) == len(texts)
+    assert slug("the box that slides") == "the_box_that_slides"
+    assert all(re.fullmatch(r"[a-z0-9_]+", slug(text)) for text in texts)
+
+
+def test_the_label_that_won_is_what_a_query_sees():
+    """The largest view was once called a dog; the element is a chair."""
+    chair = merge_evidence(
+        evidence(1, "chair", seen=observations(10), pixels=500),
+        evidence(1, "dog", seen=observations(1, start_ns=10**18), pixels=600),
+    )
+    embed = Words()
+    features = embed.labels(["dog"])[0]
+    chair = dataclasses.replace(chair, votes={"chair": 9000, "dog": 900}, feature=features)
+    world = fuse(
+        WorldMap({1: chair}, {}, (empty_background(0.05),), (1,)), lambda label: Movability(0.5, "test"), MapSettings()
+    )
+    queries, _ = parse(["chairs", "dogs"], vlmm_log.Settings())
+    questions = Questions(queries, embed, vlmm_log.Settings().query, MapSettings(), "+z")
+    chairs, dogs = questions.answers(world.columns, None, 0)
+    assert chairs.ids.tolist() == [1] and not dogs.ids.size
+
+
+def test_poses_that_begin_late_keep_the_pairs_before_out_of_the_map(room, run, tmp_path):
+    late = tmp_path / "room"
+    shutil.copytree(room, late)
+    lines = (late / "groundtruth.txt").read_text().splitlines()
+    (late / "groundtruth.txt").write_text("\n".join(lines[:1] + lines[5:]) + "\n")  # frames 0 to 3 have none
+    done = vlmm_log.process(late, settings=settings(room))
+    assert done.summary.skipped["no pose yet: not in the map"] == 1  # pair 0 to 3; 1 to 4 sees the first pose
+    whole = run[0].map.world.elements
+    for i, e in done.map.world.elements.items():
+        assert e.position == pytest.approx(whole[i].position, abs=0.05)
+
+
+def test_a_map_as_ply_without_open3d_is_refused_before_the_run(room, tmp_path, monkeypatch):
+    monkeypatch.setattr("vlmm_log.api.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"vlmm-log\[sim\]"):
+        vlmm_log.process(room, rrd=tmp_path / "a.rrd", map=tmp_path / "a.ply", settings=settings(room))
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_recording_whose_writer_was_killed_holds_the_map_so_far(room, run, tmp_path):
     code = """
 import os, sys, vlmm_log
@@ -208,7 +287,7 @@ def test_an_endpoint_that_is_down_is_a_named_fallback(room, tmp_path, monkeypatc
     done = vlmm_log.process(room, rrd=tmp_path / "room.rrd", settings=s)
     for e in done.map.world.elements.values():
         assert "llm:" in e.rho_source
-    assert any(told.startswith("movability endpoint http://127.0.0.1:9/v1: ") for told in done.told)
+    assert any(told.startswith("movability endpoint http://127.0.0.1:9/v1: ") for told in done.end.told)
     log = [
         text
         for chunk in RrdReader(str(tmp_path / "room.rrd")).store().stream().filter(content="/log")

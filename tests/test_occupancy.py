@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from known_maps import element, saved, world
-from vlmm_log.elements import Background, MotionClass, WorldMap
+from vlmm_log.background import Background
+from vlmm_log.elements import MotionClass, WorldMap
 from vlmm_log.maps.grid import save_grid
 from vlmm_log.maps.occupancy import FREE, OCCUPIED, R_GRID_WORLD, UNKNOWN, occupancy
 from vlmm_log.settings import GridSettings
@@ -233,7 +234,7 @@ def test_a_far_outlier_is_told_and_its_remedy_works():
     far = np.array([2**31 - 1, -(2**31), 0], np.int32)
     seen = voxels(room_cells(), points=5)
     cells, sums = np.vstack([seen.cells, far]), np.vstack([seen.sums, [1, 0, 0, 0]])
-    stray = saved(WorldMap({}, {}, Background(VOXEL, cells, sums)))
+    stray = saved(WorldMap({}, {}, (Background(VOXEL, cells, sums),)))
     assert "too large; take larger cells, or leave out stray voxels with a higher min_points" in refused(stray, S)
     np.testing.assert_array_equal(occupancy(stray, dataclasses.replace(S, min_points=2)).data, expected())
 

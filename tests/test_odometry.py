@@ -64,3 +64,15 @@ def test_an_unreliable_pair_does_not_move_the_chain():
 def test_a_hole_in_the_log_keeps_the_last_pose():
     found = chained([(0, 3), (1, 4), (50, 53)])
     assert found[50] == pytest.approx(steady(4))
+
+
+def test_poses_that_begin_late_place_the_pair_that_first_sees_one():
+    relative = se3.inverse(steady(3)) @ steady(0)
+    lost = locate(FramePair(frame(0), frame(3)), ego(relative), None)
+    assert not lost.anchored
+    T = se3.exp(np.full(6, 0.3)) @ steady(6)
+    found = locate(FramePair(frame(3), frame(6, T)), ego(se3.inverse(steady(6)) @ steady(3)), lost)
+    assert found.anchored
+    assert found.T_world_first == pytest.approx(se3.exp(np.full(6, 0.3)) @ steady(3), abs=1e-9)
+    later = locate(FramePair(frame(6), frame(9)), ego(relative), found)
+    assert later.anchored

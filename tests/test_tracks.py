@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from vlmm_log.elements import OBSERVATION, Sightings
+from vlmm_log.pipeline.object_kernels import carried_overlap
 from vlmm_log.pipeline.tracks import Tracks, associate, remember
 from vlmm_log.settings import TrackSettings
 from vlmm_log.types import Features, FlowField, Frame, FramePair, Segments
@@ -118,4 +119,34 @@ def test_a_mask_without_depth_is_followed_by_overlap():
     box = (10, 10, 30, 30)
     unseen = [[np.nan] * 3]
     scenes = [scene([box]), scene([box], positions=unseen), scene([box], positions=unseen)]
-    assert follow(scenes)[:2] == [[1], [1]]
+    assert follow(scenes) == [[1]] * 3
+    assert follow([scene([box], positions=unseen)] * 4) == [[1]] * 4
+
+
+def test_a_good_match_is_not_given_up_for_two_poor_ones():
+    """Similarities .6 and .34 against .3 and 0: the sum of the poor ones is larger, and both are too poor to hold."""
+    far = np.array([[0.0, 0, 0], [50.0, 0, 0]])
+    a, b = scene([(0, 0, 30, 30), (30, 40, 20, 20)], positions=far, names=["a", "b"])
+    c, d = scene([(0, 9, 30, 30), (0, 0, 30, 9)], positions=far[::-1] + 500.0, names=["a", "b"])
+    s = TrackSettings(position_weight=0.0, feature_weight=0.0, min_similarity=0.35)
+    found = follow([(a, b), (c, d)], s=s)
+    assert found[1][0] == 1 and found[1][1] not in (1, 2)
+
+
+def test_a_mask_that_shrinks_does_not_outweigh_the_rest():
+    before = np.zeros((H, W), np.int32)
+    before[10:50, 10:50] = 1
+    v, u = np.mgrid[0:H, 0:W]
+    flow = np.stack([(25 + (u - 10) // 4) - u, (25 + (v - 10) // 4) - v], axis=-1).astype(np.float32)
+    after = np.zeros((H, W), np.int32)
+    after[25:35, 25:35] = 1
+    areas, both, landed = np.empty(1, np.int32), np.empty((1, 1), np.int32), np.zeros((H, W), np.int32)
+    carried_overlap(before, flow, np.float32(1), after, landed, areas, both)
+    assert (areas[0], both[0, 0]) == (100, 100)
+
+
+def test_an_element_is_forgotten_on_time_even_in_the_next_pair():
+    box = (30, 50, 10, 10)
+    scenes = [scene([box], names=["cup"]), scene([box], names=["cup"])]
+    assert follow(scenes, s=TrackSettings(forget_s=1.0), step_ns=10**12) == [[1], [2]]
+    assert follow(scenes, s=TrackSettings(forget_s=2000.0), step_ns=10**12) == [[1], [1]]

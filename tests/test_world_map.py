@@ -8,15 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from known_maps import evidence, observations
+from vlmm_log.background import Background, empty_background, merged
 from vlmm_log.elements import (
     OBSERVATION,
-    Background,
     Evidence,
     MotionClass,
     Movability,
     Sightings,
     Tracked,
-    empty_background,
 )
 from vlmm_log.pipeline import world_map as wm
 from vlmm_log.pipeline.fusion import attributes, classify, fuse, motion_intervals
@@ -86,7 +85,7 @@ def test_the_map_does_not_depend_on_the_order_of_pairs(seed, random):
 
 
 @given(st.integers(0, 2**32), st.integers(0, 8))
-def test_two_halves_make_the_whole(seed, cut):
+def test_two_halves_with_the_same_identities_make_the_whole(seed, cut):
     pairs = pairs_of(seed, 8)
     a, b = built(pairs[:cut]), built(pairs[cut:])
     same(fuse(wm.merge(a, b), prior, S), built(pairs))
@@ -159,7 +158,7 @@ def test_small_elements_wait():
 
 def test_different_voxels_do_not_merge():
     with pytest.raises(ValueError, match="voxels"):
-        wm.merge_backgrounds(empty_background(0.05), empty_background(0.1))
+        merged([empty_background(0.05), empty_background(0.1)])
 
 
 # ---- fusion
@@ -196,8 +195,20 @@ def test_intervals_span_runs_of_moving_pairs():
     first, second = seen["first_ns"], seen["second_ns"]
     assert spans.tolist() == [[first[1], second[2]], [first[6], second[8]]]
     assert len(motion_intervals(seen, moved, 1)) == 3
-    assert motion_intervals(seen[1:2], moved[1:2], 3).tolist() == [[first[1], second[1]]]  # all that was seen
+    assert not motion_intervals(seen[1:3], moved[1:3], 3).size  # two pairs are not three
     assert motion_intervals(seen, np.zeros(9, bool), 1).shape == (0, 2)
+
+
+def test_time_unseen_ends_an_interval():
+    seen = observations(6)
+    seen["first_ns"][3:] += 100 * 10**9
+    seen["second_ns"][3:] += 100 * 10**9
+    spans = motion_intervals(seen, np.ones(6, bool), 3)
+    assert spans.tolist() == [[seen["first_ns"][k], seen["second_ns"][k + 2]] for k in (0, 3)]
+    sparse = observations(4)
+    sparse["first_ns"] = np.arange(4) * 10**9  # keyframes further apart than a pair is long
+    sparse["second_ns"] = sparse["first_ns"] + 10**8
+    assert len(motion_intervals(sparse, np.ones(4, bool), 4)) == 1
 
 
 def test_a_part_that_moves_makes_an_interval_and_no_class():

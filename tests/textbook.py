@@ -148,7 +148,6 @@ def aggregate(pair, segments, motion, s) -> list[dict[str, object]]:
         phi = above.sum() / n
         coherence = gamma if s.coherence == "flagged" else gamma_all
         v, u = np.nonzero(mask & np.isfinite(pair.first.depth))
-        v, u = (x[:: max(x.size // 1024, 1)] for x in (v, u))
         z = pair.first.depth[v, u].astype(float)
         row = {"pixels": mask.sum(), "scored": d.size, "phi": phi, "gamma": coherence, "gamma_all": gamma_all}
         row |= {"kappa": phi * coherence, "o": np.quantile(d, s.quantile) if d.size else np.nan}

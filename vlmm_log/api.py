@@ -8,6 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,7 +43,6 @@ class Processed:
     summary: Summary
     map: SavedMap
     answers: tuple[Answer, ...]  # of the queries, over the whole map
-    told: tuple[str, ...]  # by the models: an endpoint's cost, a cache's use
 
 
 def process(
@@ -69,7 +69,7 @@ def process(
     log = reader.open(source, s.read)
     if s.ego.model == "off" and not log.has_poses:
         raise InputError(f"{source}: no poses, and ego.model = off needs them; use rigid or row_linear")
-    asked = parse(queries, s)
+    asked, by_parser = parse(queries, s)
     expected = expected_pairs(log.count(*_window(s)), s.keyframes)
     target = None if rrd is None else _free(Path(rrd), force)
     map_target = None if map is None else _free_map(Path(map), force)
@@ -80,7 +80,7 @@ def process(
     summary = Summary(noise_scale=s.noise.scale)
     recordings = [] if target is None else [_recording(target, run, s)]
     told = None if progress is None else partial(_tell, progress, expected)
-    watching = _Watching(log, models, s, Questions(asked, models.embed, s.query, s.map, log.world_up))
+    watching = _Watching(log, models, s, Questions(asked, models.embed, s.query, s.map, log.world_up), by_parser)
     try:
         end = watching.run(Many([summary, *sinks, *recordings]), told)
     except Exception as e:
@@ -92,9 +92,14 @@ def process(
     saved = SavedMap(watching.world.map, run, end, watching.origin_ns, watching.camera)
     outputs = [r.written for r in recordings if r.written]
     if map_target is not None and end.complete:
-        save_map(map_target, saved, force=force)
+        try:
+            save_map(map_target, saved, force=force)
+        except InputError as e:
+            for kept in outputs:
+                e.add_note(f"the recording is whole: {kept}")
+            raise
         outputs.append(map_target)
-    return Processed(run, end, tuple(outputs), summary, saved, tuple(watching.answers()), _told(models))
+    return Processed(run, end, tuple(outputs), summary, saved, tuple(watching.answers()))
 
 
 def _recording(path: Path, run: Run, s: Settings) -> Rerun:
@@ -125,10 +130,11 @@ class _Watching:
     models: Models
     s: Settings
     questions: Questions
+    told: tuple[str, ...]  # by the query parser
     origin_ns: int = 0  # stamp of the first pair
 
     def __post_init__(self) -> None:
-        self.world = empty_world(self.s)
+        self.world = empty_world(self.s, has_poses=self.log.has_poses)
         self.tally = Tally()
         self.done = 0
 
@@ -165,7 +171,8 @@ class _Watching:
             failure = e
             raise
         finally:
-            end = RunEnd(complete, self.tally.input_hash(), self.tally.frames, self.done)
+            told = (*self.told, *(report() for report in self.models.reports))
+            end = RunEnd(complete, self.tally.input_hash(), self.tally.frames, self.done, told)
             _close(sink, end, failure)
         return end
 
@@ -190,11 +197,6 @@ def _close(sink: Sink, end: RunEnd, failure: BaseException | None) -> None:
         failure.add_note(f"then: {e}")
 
 
-def _told(models: Models) -> tuple[str, ...]:
-    """What the models have to tell at the end of a run."""
-    return tuple(report() for report in models.reports)
-
-
 def _free(path: Path, force: bool) -> Path:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file, for example {path / 'out.rrd'}")
@@ -207,6 +209,8 @@ def _free(path: Path, force: bool) -> Path:
 def _free_map(path: Path, force: bool) -> Path:
     if path.suffix.lower() not in MAP_SUFFIXES:
         raise InputError(f"{path}: a map is written as {', '.join(MAP_SUFFIXES)}; name it so")
+    if path.suffix.lower() == ".ply" and find_spec("open3d") is None:
+        raise InputError(f"{path}: a PLY needs Open3D: pip install 'vlmm-log[sim]'; or name a .json or .parquet")
     return _free(path, force)
 
 

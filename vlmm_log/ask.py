@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,12 +36,14 @@ class Questions:
     def answers(self, elements: Elements, T_world_cam: Float64 | None, origin_ns: int) -> list[Answer]:
         """Each query's answer, as seen from a camera."""
         view = View(T_world_cam, self.up, origin_ns)
+        named = self.embed.labels(elements.labels)  # of the label that won, not of the largest frame's
+        elements = elements if named is None else replace(elements, features=named)
         texts, theta_s = self.embed.texts, self.embed.threshold
         return [answer(q, elements, texts, self.s, self.map_settings, view, theta_s) for q in self.queries]
 
 
-def parse(texts: Sequence[str], s: Settings) -> tuple[Query, ...]:
-    """The queries that texts ask, each text once.
+def parse(texts: Sequence[str], s: Settings) -> tuple[tuple[Query, ...], tuple[str, ...]]:
+    """The queries that texts ask, each text once; and what the parser has to tell: an endpoint's cost.
 
     Raises InputError where one holds words that the parser does not understand: a query is never answered in part.
     """
@@ -54,7 +56,8 @@ def parse(texts: Sequence[str], s: Settings) -> tuple[Query, ...]:
                 f"query {query.text!r}: not understood: {words}; leave it out or say it otherwise"
                 f" (understood: {explain(replace(query, unparsed=()))})"
             )
-    return queries
+    endpoint = getattr(parser, "endpoint", None)
+    return queries, () if endpoint is None else (f"parser's endpoint {endpoint.where}: {endpoint.cost}",)
 
 
 def load_parser(s: Settings) -> Parser:
@@ -101,7 +104,7 @@ def query(source: str | Path | SavedMap, text: str, *, sets: Sequence[str] = ())
     InputError where the source cannot be read or the text is not understood.
     """
     saved = load_map(source) if isinstance(source, str | Path) else source
-    return _ask(saved, text, _settings(saved, sets))
+    return _ask(saved, text, _settings(saved, sets))[0]
 
 
 @dataclass(frozen=True)
@@ -111,35 +114,38 @@ class Found:
     answer: Answer
     elements: Elements
     outputs: tuple[Path, ...]
+    told: tuple[str, ...]  # by the parser: an endpoint's cost
 
     def report(self, limit: int) -> dict[str, Any]:
         """The answer with field values, ready for JSON."""
-        rows = np.searchsorted(self.elements.ids, self.answer.ids[:limit])
-        answers = [
-            {
-                "id": int(self.elements.ids[r]),
-                "label": self.elements.labels[r],
-                "score": float(self.answer.scores[rank]),
-                "reason": self.answer.reasons[rank],
-                "position": self.elements.positions[r].tolist(),
-                "motion_class": MotionClass(self.elements.motion_class[r]).name.lower(),
-                "confidence": float(self.elements.confidence[r]),
-                "o": float(self.elements.o[r]),
-                "kappa": float(self.elements.kappa[r]),
-                "rho": float(self.elements.rho[r]),
-                "intervals_ns": self.elements.intervals[self.elements.interval_rows == r].tolist(),
-            }
-            for rank, r in enumerate(rows.tolist())
-        ]
-        a = self.answer
+        a, rows = self.answer, np.searchsorted(self.elements.ids, self.answer.ids[:limit])
         return {
             "query": a.text,
             "explanation": a.explanation,
             "returns": a.returns,
             "matches": a.matches,
-            "answers": answers,
+            "answers": [
+                _fields(self.elements, r) | {"score": float(a.scores[rank]), "reason": a.reasons[rank]}
+                for rank, r in enumerate(rows.tolist())
+            ],
             "outputs": [str(path) for path in self.outputs],
+            "told": list(self.told),
         }
+
+
+def _fields(e: Elements, r: int) -> dict[str, Any]:
+    """An element's row, under the paper's names."""
+    return {
+        "id": int(e.ids[r]),
+        "label": e.labels[r],
+        "position": e.positions[r].tolist(),
+        "motion_class": MotionClass(e.motion_class[r]).name.lower(),
+        "confidence": float(e.confidence[r]),
+        "o": float(e.o[r]),
+        "kappa": float(e.kappa[r]),
+        "rho": float(e.rho[r]),
+        "intervals_ns": e.intervals[e.interval_rows == r].tolist(),
+    }
 
 
 def find(
@@ -148,43 +154,66 @@ def find(
     *,
     sets: Sequence[str] = (),
     rrd: Path | None = None,
+    masks: Path | None = None,
     grid: Path | None = None,
     force: bool = False,
 ) -> Found:
-    """``query``, with its hits as a recording that opens together with the source's, and as an occupancy grid.
+    """``query``, with its hits as a recording that opens together with the source's, as masks, as an occupancy grid.
 
-    Raises InputError as ``query`` does, and where an output cannot be written.
+    Raises InputError as ``query`` does, and where an output cannot be written; masks need a recording.
     """
+    source = Path(source)
+    if masks is not None and not _is_recording(source):
+        raise InputError(f"{source}: a map file holds no masks; ask the run's recording (.rrd)")
     saved = load_map(source)
     s = _settings(saved, sets)
-    found = _ask(saved, text, s)
+    found, told = _ask(saved, text, s)
     outputs = []
     if grid is not None:
         from vlmm_log.maps.grid import save_grid
         from vlmm_log.maps.occupancy import occupancy
 
-        save_grid(grid, occupancy(saved, s.grid, found.ids.tolist()), force=force)
+        everything = replace(s, query=replace(s.query, limit=max(len(saved.world.columns), 1)))
+        ids = found.ids if found.matches == found.ids.size else _ask(saved, text, everything)[0].ids
+        save_grid(grid, occupancy(saved, s.grid, ids.tolist()), force=force)
         outputs.append(grid)
     if rrd is not None:
         from vlmm_log.maps.output import replacing
         from vlmm_log.recording import read_masks
         from vlmm_log.sinks.hits import write_hits
 
-        masks = read_masks(Path(source)) if _is_recording(Path(source)) else ()
+        frames = read_masks(source) if _is_recording(source) else ()
         with replacing(rrd, force=force) as (partial,):
-            write_hits(partial, saved.world.columns, found, saved.run.recording_id, masks)
+            write_hits(partial, saved.world.columns, found, saved.run.recording_id, frames)
         outputs.append(rrd)
-    return Found(found, saved.world.columns, tuple(outputs))
+    if masks is not None:
+        from vlmm_log.recording import read_masks
+        from vlmm_log.sinks.hits import write_masks
+
+        write_masks(masks, found, read_masks(source), force=force)
+        outputs.append(masks)
+    return Found(found, saved.world.columns, tuple(outputs), told)
 
 
 def _settings(saved: SavedMap, sets: Sequence[str]) -> Settings:
     return Settings.from_toml(saved.run.settings, saved.run.source).changed(sets)
 
 
-def _ask(saved: SavedMap, text: str, s: Settings) -> Answer:
+def _ask(saved: SavedMap, text: str, s: Settings) -> tuple[Answer, tuple[str, ...]]:
     from vlmm_log.models.embedders import load_embedder
 
-    queries = parse([text], s)
-    embed, _ = load_embedder(s.objects)
+    queries, told = parse([text], s)
+    embed, versions = load_embedder(s.objects)
+    _check_embedder(saved, embed, versions)
     questions = Questions(queries, embed, s.query, s.map, saved.run.world_up)
-    return questions.answers(saved.world.columns, saved.T_world_cam, saved.origin_ns)[0]
+    return questions.answers(saved.world.columns, saved.T_world_cam, saved.origin_ns)[0], told
+
+
+def _check_embedder(saved: SavedMap, embed: Embedder, versions: Mapping[str, str]) -> None:
+    """Features made of pixels compare only with texts of the same weights."""
+    made, here = saved.run.versions.get("embedder"), versions.get("embedder")
+    if embed.labels([]) is None and made != here:
+        raise InputError(
+            f"{saved.run.source}: its features are of {made}, the embedder here is {here}; give the same weights, "
+            "as in --set objects.embedder=clip:FILE"
+        )

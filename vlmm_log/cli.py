@@ -44,7 +44,7 @@ def cli(debug: bool) -> None:
 @click.option("--flow", type=click.Choice(["dis", "raft"]), help="Optical flow: dis needs no weights.")
 @click.option("--weights", help="RAFT weights: a file, or a folder with raft*.pth.")
 @click.option("--segmenter", metavar="NAME", help="geometric (default), yolo:FILE.onnx, masks:FOLDER or none.")
-@click.option("--embedder", metavar="NAME", help="words (default), clip or clip:WEIGHTS.")
+@click.option("--embedder", metavar="NAME", help="words (default), clip, maskclip; clip:WEIGHTS.")
 @click.option("--prior", metavar="NAME", help="Movability prior: table (default) or llm:URL.")
 @click.option("--gap", metavar="K", help="Distance of a pair: frames (3) or seconds (0.1s).")
 @click.option("--start", type=float, help="Seconds from the log's first frame.")
@@ -116,6 +116,7 @@ def process(
 @click.option("--limit", type=click.IntRange(1), default=20, show_default=True, help="Answers to print.")
 @click.option("--explain", is_flag=True, help="Print how the query was understood, too.")
 @click.option("--rrd", type=click.Path(path_type=Path), help="Write the hits as a recording that opens with the other.")
+@click.option("--masks", type=click.Path(path_type=Path), help="Folder for the hits' masks, a PNG a frame (of a .rrd).")
 @click.option("--grid", type=click.Path(path_type=Path), help="Occupancy grid: .npz, or .yaml with its .pgm for ROS.")
 @click.option("--force", is_flag=True, help="Replace existing outputs.")
 @click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON.")
@@ -127,6 +128,7 @@ def query(
     limit: int,
     explain: bool,
     rrd: Path | None,
+    masks: Path | None,
     grid: Path | None,
     force: bool,
     as_json: bool,
@@ -138,7 +140,7 @@ def query(
     from vlmm_log.ask import find
 
     sets = sets if parser is None else (*sets, f"query.parser={json.dumps(parser)}")
-    found = find(source, text, sets=sets, rrd=rrd, grid=grid, force=force)
+    found = find(source, text, sets=sets, rrd=rrd, masks=masks, grid=grid, force=force)
     if as_json:
         click.echo(json.dumps(found.report(limit), indent=2))
     else:
@@ -216,7 +218,7 @@ def _report(done: Processed) -> dict[str, object]:
     return {
         "source": done.run.source,
         "reader": done.run.reader,
-        "notes": [*done.run.notes, *done.told],
+        "notes": [*done.run.notes, *done.end.told],
         "complete": done.end.complete,
         "input_hash": done.end.input_hash,
         "frames": done.end.frames,
@@ -254,6 +256,10 @@ def _print_answer(found: Found, limit: int, explain: bool) -> None:
             cells = (row["id"], row["label"], row["motion_class"], f"{row['score']:.2f}", place, row["reason"])
             table.add_row(*(Text(str(cell)) for cell in cells))
         console.print(table)
+    if answer.returns == "mask" and not found.outputs:
+        console.print("asks for where: --masks FOLDER or --rrd F writes the pixels", highlight=False)
+    for told in found.told:
+        console.print(f"  {told}", highlight=False)
     for path in found.outputs:
         console.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
@@ -310,7 +316,7 @@ def _print_table(done: Processed) -> None:
     for found in done.answers:
         names = ", ".join(f"{i} {done.map.world.elements[i].label}".strip() for i in found.ids[:10].tolist())
         console.print(f"{found.text!r}: {found.matches} of the map's elements{': ' if names else ''}{names}")
-    for note in (*done.run.notes, *done.told):
+    for note in (*done.run.notes, *done.end.told):
         console.print(f"  {note}", highlight=False)
     for path in done.outputs:
         size = path.stat().st_size / 1e6

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from vlmm_log.background import Background, merged
 from vlmm_log.types import Float32, Float64, Int32, Int64, Segments, UInt8, freeze
 
 OBSERVATION = np.dtype(
@@ -118,7 +119,7 @@ class Element:
     rho_source: str
     motion_class: MotionClass
     confidence: float  # c of the paper: kappa, rho or 1 - rho
-    p_stat: float  # chi-square tail probability of the median o in sigmas, 3 degrees of freedom
+    p_stat: float  # static-consistency p-value of the pixel at o: chi-square tail of (o in sigmas)^2; 1/4 if still
     score: float  # kappa-weighted mean of o: does not forget a mover that mostly stood still
     speed: float  # m/s: median over the observations that moved of |drift| / time; 0 if none did
     intervals: Int64  # (m, 2) ns, spans in which it was observed to move
@@ -133,40 +134,18 @@ class Element:
 
 
 @dataclass(frozen=True, eq=False)
-class Background:
-    """Coloured voxels of what stood still: exact integer sums, so that maps merge exactly."""
-
-    voxel_m: float
-    cells: Int32  # (n, 3) voxel coordinates, floor(world / voxel_m), in lexicographic order, each once
-    sums: Int64  # (n, 4) number of points, and sums of red, green, blue
-
-    def __post_init__(self) -> None:
-        freeze(self)
-
-    @property
-    def points(self) -> Float32:
-        """(n, 3) m, voxel centres."""
-        return np.asarray((self.cells + 0.5) * self.voxel_m, np.float32)
-
-    @property
-    def colors(self) -> UInt8:
-        """(n, 3) mean colours."""
-        return np.asarray(self.sums[:, 1:] // np.maximum(self.sums[:, :1], 1), np.uint8)
-
-
-def empty_background(voxel_m: float) -> Background:
-    """No voxel yet."""
-    return Background(voxel_m, np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int64))
-
-
-@dataclass(frozen=True, eq=False)
 class WorldMap:
     """The persistent map. ``elements`` holds the instantiated ones, ``evidence`` also what is still too small."""
 
     evidence: Mapping[int, Evidence]
     elements: Mapping[int, Element]
-    background: Background
+    clouds: tuple[Background, ...]  # the background in parts, so that it grows without being sorted anew each time
     touched: tuple[int, ...] = ()  # elements that the last update changed
+
+    @cached_property
+    def background(self) -> Background:
+        """Coloured voxels of what stood still."""
+        return merged(self.clouds)
 
     @cached_property
     def columns(self) -> Elements:

@@ -114,6 +114,10 @@ class Embedder(Protocol):
         """(n, D) unit features of the instances of a frame."""
         ...
 
+    def labels(self, labels: Sequence[str]) -> Float32 | None:
+        """(m, D) unit features of labels where regions are known by them alone; None where pixels decide."""
+        ...
+
     def texts(self, texts: Sequence[str]) -> Float32:
         """(m, D) unit features."""
         ...

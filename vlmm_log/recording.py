@@ -12,7 +12,8 @@ import numpy as np
 import pyarrow as pa
 import rerun.chunk
 
-from vlmm_log.elements import OBSERVATION, Background, Evidence, Movability, WorldMap, empty_background
+from vlmm_log.background import Background, empty_background
+from vlmm_log.elements import OBSERVATION, Evidence, Movability, WorldMap
 from vlmm_log.maps.saved import SavedMap
 from vlmm_log.pipeline.fusion import fuse
 from vlmm_log.pipeline.world_map import merge_evidence
@@ -165,7 +166,7 @@ def _world(rows: _Rows, s: MapSettings) -> WorldMap:
         feature = rows.features.get((i, whole.feature_index), np.zeros(0, np.float32))
         evidence[i] = Evidence(i, whole.votes, whole.observations, feature, whole.feature_pixels, whole.feature_index)
     background = _background(rows, s.voxel_m)
-    bare = WorldMap(evidence, {}, background, tuple(evidence))
+    bare = WorldMap(evidence, {}, (background,), tuple(evidence))
     return fuse(bare, lambda label: rows.priors.get(label, Movability(0.5, "unknown")), s)
 
 

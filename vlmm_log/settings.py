@@ -125,7 +125,7 @@ class EgoSettings:
     hypotheses: int = knob(256, "RANSAC hypotheses", low=1, high=100_000)
     sample: int = knob(2048, "matches that score a hypothesis", low=3)
     instance_share: float = knob(
-        0.08, "no instance supplies more than this share of hypotheses and votes; 1: any", low=1e-3, high=1
+        0.08, "no thing with a mask supplies more than this share of hypotheses and votes; 1: any", low=1e-3, high=1
     )
     iterations: int = knob(40, "refits at most", low=1, high=100)
     row_prior_rad: float = knob(0.05, "standard deviation of the row twist's rotation, rad", low=1e-9)
@@ -189,7 +189,7 @@ class MapSettings:
         low=0,
         high=1,
     )
-    interval_pairs: int = knob(3, "a motion interval needs this many such pairs in a row (all, if fewer)", low=1)
+    interval_pairs: int = knob(3, "a motion interval needs this many such pairs in a row", low=1)
 
 
 @dataclass(frozen=True)

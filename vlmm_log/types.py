@@ -101,6 +101,7 @@ class Segments:
     scores: Float32  # (n,) the detector's confidence in [0, 1]; 1 where it gives none
     identities: Int64  # (n,) the source's own identity, unique in a frame; -1 where it has none
     notes: tuple[str, ...] = ()  # what was left out or fell back, and why: few texts, so that they can be counted
+    partition: bool = False  # pieces of all that is seen, the still world among them, rather than things before it
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -232,6 +233,7 @@ class Odometry:
     pair: Span  # of the pair's frames
     link: Span  # the chain's last link
     from_log: bool  # whether the log gave the first frame's pose
+    anchored: bool  # whether the world is that of the log's poses
 
     @property
     def T_world_first(self) -> Float64:
@@ -282,3 +284,4 @@ class RunEnd:
     input_hash: str  # SHA-256 over the content of every frame read
     frames: int
     pairs: int
+    told: tuple[str, ...] = field(default=(), compare=False)  # by the models: an endpoint's cost, a cache's use

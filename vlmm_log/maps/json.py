@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from vlmm_log.elements import OBSERVATION, Background, Element, Evidence, MotionClass, Observations, WorldMap
+from vlmm_log.background import Background
+from vlmm_log.elements import OBSERVATION, Element, Evidence, MotionClass, Observations, WorldMap
 from vlmm_log.maps.fields import Field, encoded_feature, single, twice
 from vlmm_log.maps.header import NAMES, check_version, header, read_header
 from vlmm_log.maps.saved import SavedMap
@@ -41,7 +42,7 @@ def read(path: Path) -> SavedMap:
     *_, elements, pending, background = top.members((*NAMES, "elements", "pending", "background"))
     fused = [_element(field) for field in elements.items()]
     evidence = [e.evidence for e in fused] + [_evidence(f.members(("id", *SEEN))) for f in pending.items()]
-    world = WorldMap({e.id: e for e in evidence}, {e.id: e for e in fused}, _background(background))
+    world = WorldMap({e.id: e for e in evidence}, {e.id: e for e in fused}, (_background(background),))
     if len(world.evidence) < len(evidence):
         raise top.wrong(f"elements, pending: id {twice(e.id for e in evidence)} stands there twice")
     return SavedMap(world, *read_header(top))

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.elements import Background, Element
+from vlmm_log.background import Background
+from vlmm_log.elements import Element
 from vlmm_log.maps.saved import SavedMap
 from vlmm_log.settings import GridSettings
 from vlmm_log.types import Float64, InputError, Int64, UInt8, freeze

@@ -14,7 +14,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from vlmm_log.elements import OBSERVATION, Background, Element, Evidence, MotionClass, Observations, WorldMap
+from vlmm_log.background import Background
+from vlmm_log.elements import OBSERVATION, Element, Evidence, MotionClass, Observations, WorldMap
 from vlmm_log.maps.fields import Field, twice
 from vlmm_log.maps.header import NAMES, check_version, header, read_header
 from vlmm_log.maps.parquet_schema import OBSERVATIONS, SCALARS, schema
@@ -51,7 +52,7 @@ def read(path: Path) -> SavedMap:
         raise InputError(f"{path}: cannot be read as Parquet: {first_line[:200]}") from e
     *_, background = top.members((*NAMES, "feature_width", "background"))
     evidence = _evidence(table, width, path)
-    world = WorldMap({e.id: e for e in evidence}, _elements(table, evidence, path), _unpacked(background))
+    world = WorldMap({e.id: e for e in evidence}, _elements(table, evidence, path), (_unpacked(background),))
     if len(world.evidence) < len(evidence):
         raise top.wrong(f"id: {twice(e.id for e in evidence)} stands there twice")
     return SavedMap(world, *read_header(top))

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.elements import Background, Element, Evidence, WorldMap
+from vlmm_log.background import Background
+from vlmm_log.elements import Element, Evidence, WorldMap
 from vlmm_log.types import Float64, InputError, Run, RunEnd, freeze
 
 FORMAT = "vlmm-log map"

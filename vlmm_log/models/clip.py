@@ -36,6 +36,9 @@ class Clip:
 
         return self.cache.remembered([cut.tobytes() for cut in cuts], compute)
 
+    def labels(self, labels: Sequence[str]) -> None:
+        """None: pixels decide."""
+
     def texts(self, texts: Sequence[str]) -> Float32:
         """(m, WIDTH) unit features of "a photo of a TEXT"; zeros for a blank text."""
         return prompted(texts, self._network, self.cache)

@@ -53,7 +53,7 @@ class Geometric:
         full[np.isnan(frame.depth)] = 0
         names = tuple(FLAT_NAME if flat[k] else "" for k in firsts[1:])
         notes = () if n else ("geometric: no surface in the depth image",)
-        return Segments(full, names, np.ones(n, np.float32), np.full(n, -1, np.int64), notes)
+        return Segments(full, names, np.ones(n, np.float32), np.full(n, -1, np.int64), notes, partition=True)
 
 
 def inverse_depth(depth: Float32) -> Float32:

@@ -42,6 +42,9 @@ class MaskClip:
 
         return self.cache.remembered(contents, compute)
 
+    def labels(self, labels: Sequence[str]) -> None:
+        """None: pixels decide."""
+
     def texts(self, texts: Sequence[str]) -> Float32:
         """(m, WIDTH) unit features of "a photo of a TEXT"; zeros for a blank text."""
         return prompted(texts, self._network, self.cache)

@@ -40,7 +40,13 @@ class Words:
 
     def regions(self, frame: Frame, segments: Segments) -> Float32:  # noqa: ARG002  # it sees labels only
         """(n, WIDTH) unit features of the instances' labels; zeros for the label ""."""
-        return _stacked([self._label(name) for name in segments.names])
+        return self.labels(segments.names)
+
+    def labels(self, labels: Sequence[str]) -> Float32:
+        """(m, WIDTH) unit features; zeros for the label ""."""
+        names = sorted(set(labels))
+        place = {name: row for row, name in enumerate(names)}
+        return _stacked([self._label(name) for name in names])[[place[label] for label in labels]]
 
     def texts(self, texts: Sequence[str]) -> Float32:
         """(m, WIDTH) unit features of what is looked for; zeros for a text without a word."""

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import rerun as rr
 
 from vlmm_log.elements import Elements
 from vlmm_log.queries import Answer
 from vlmm_log.sinks.blueprint import IMAGE
+from vlmm_log.sinks.footer import finish
 from vlmm_log.sinks.rerun_map import CLEAR, HIT_COLOR, LARGEST_ID, answer_columns, hits, slug
-from vlmm_log.types import UInt16
+from vlmm_log.types import InputError, UInt8, UInt16
 
 
 def write_hits(
@@ -25,16 +27,43 @@ def write_hits(
     rr.set_strict_mode(True)
     rec = rr.RecordingStream("vlmm-log", recording_id=recording_id, send_properties=False)
     rec.set_log_time_enabled(False)
-    rec.save(path)
-    rows = np.searchsorted(elements.ids, answer.ids)
-    entity = f"query/{slug(answer.text)}"
-    rec.log(f"world/map/{entity}", hits(elements, rows, answer), answer_columns(answer), static=True)
-    rec.log(f"{IMAGE}/{entity}", rr.AnnotationContext([(0, "", CLEAR), (1, answer.text, HIT_COLOR)]), static=True)
+    try:
+        rec.save(path)
+        rows = np.searchsorted(elements.ids, answer.ids)
+        entity = f"query/{slug(answer.text)}"
+        rec.log(f"world/map/{entity}", hits(elements, rows, answer), answer_columns(answer), static=True)
+        rec.log(f"{IMAGE}/{entity}", rr.AnnotationContext([(0, "", CLEAR), (1, answer.text, HIT_COLOR)]), static=True)
+        wanted = _wanted(answer)
+        for index, stamp_ns, labels in masks:
+            rec.set_time("frame", sequence=index)
+            rec.set_time("time", timestamp=np.datetime64(stamp_ns, "ns"))
+            rec.log(f"{IMAGE}/{entity}", rr.SegmentationImage(wanted[labels]))
+        finish(rec, path)
+    except RuntimeError as e:  # so Rerun reports what its own thread could not write
+        raise OSError(f"{e}") from e
+    finally:
+        rec.disconnect()
+
+
+def write_masks(folder: Path, answer: Answer, masks: Iterable[tuple[int, int, UInt16]], *, force: bool) -> None:
+    """A PNG for each frame, named by its index: 255 where the answers are, else 0.
+
+    Raises InputError where the folder exists (without ``force``) or cannot be written.
+    """
+    wanted = 255 * _wanted(answer)
+    try:
+        folder.mkdir(parents=True, exist_ok=force)
+        for index, _, labels in masks:
+            _, png = cv2.imencode(".png", wanted[labels])
+            (folder / f"{index:06d}.png").write_bytes(png.tobytes())
+    except FileExistsError as e:
+        raise InputError(f"{folder}: exists; give --force to write into it") from e
+    except OSError as e:
+        raise InputError(f"{folder}: cannot be written: {e.strerror or e}") from e
+
+
+def _wanted(answer: Answer) -> UInt8:
+    """Mask class -> 1 for an answer."""
     wanted = np.zeros(LARGEST_ID + 1, np.uint8)
     wanted[(answer.ids - 1) % LARGEST_ID + 1] = 1
-    for index, stamp_ns, labels in masks:
-        rec.set_time("frame", sequence=index)
-        rec.set_time("time", timestamp=np.datetime64(stamp_ns, "ns"))
-        rec.log(f"{IMAGE}/{entity}", rr.SegmentationImage(wanted[labels]))
-    rec.flush()
-    rec.disconnect()
+    return wanted

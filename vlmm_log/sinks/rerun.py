@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from vlmm_log.elements import Tracked, WorldMap
 from vlmm_log.protocols import Moment, Result
 from vlmm_log.queries import Answer
 from vlmm_log.sinks.blueprint import IMAGE, default_blueprint
+from vlmm_log.sinks.footer import finish
 from vlmm_log.sinks.rerun_map import MapLog
 from vlmm_log.sinks.rerun_pair import log_flow, log_images, log_looks, log_motion
 from vlmm_log.sinks.scalars import ScalarColumns
@@ -32,7 +32,6 @@ from vlmm_log.types import (
     Skipped,
 )
 
-FOOTER = b"RRF2FOOT"  # starts the last twelve bytes of a whole recording
 PAIRS_A_FLUSH = 16
 UP = {
     "+z": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
@@ -130,19 +129,15 @@ class Rerun:
             self.written = self.partial
 
     def _finish(self, end: RunEnd) -> None:
+        for told in end.told:
+            self._log(told, "INFO")
         self._stats.flush()
         self._map.finish()
         self._rec.send_property(
             "vlmm_end",
             rr.AnyValues(complete=end.complete, input_hash=end.input_hash, frames=end.frames, pairs=end.pairs),
         )
-        self._rec.flush()
-        self._rec.disconnect()  # writes the footer, and only prints if it cannot
-        with self.partial.open("rb") as f:
-            f.seek(-len(FOOTER) - 4, os.SEEK_END)
-            if not f.read().startswith(FOOTER):
-                raise OSError("its footer is missing")
-            os.fsync(f.fileno())
+        finish(self._rec, self.partial)
 
     def _unwritable(self, e: Exception) -> InputError:
         return InputError(f"{self.partial}: cannot be written, is the disk full? ({e})")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+import hashlib
 import re
 from typing import Any
 
@@ -21,13 +22,14 @@ HIT_COLOR = (240, 228, 66)
 CLEAR = (0, 0, 0, 0)  # pixels of no instance
 MAP = "world/map"
 SIGMAS = 2.0  # half axis of an ellipsoid in standard deviations of the element's points
+MORE = 1000  # voxels
 GROWTH = 1.25  # the background cloud is logged again once it has grown by this factor: its whole cost stays linear
 LARGEST_ID = 65535  # that a mask image holds; element ids beyond it come round again
 
 
 STATE_LOOKS = rr.StateConfiguration(
-    values=["static", "movable_static", "moving", "still", "moves"],
-    colors=[*CLASS_COLORS.values(), (90, 90, 90), (213, 94, 0)],
+    values=["static", "movable_static", "moving", "still", "moves", "unseen"],
+    colors=[*CLASS_COLORS.values(), (90, 90, 90), (213, 94, 0), (40, 40, 40)],
 )
 
 
@@ -40,6 +42,7 @@ class MapLog:
         self._world: WorldMap | None = None
         self._names: dict[int, str] = {}  # of the masks' classes
         self._states: dict[int, tuple[str, str]] = {}
+        self._in_view: set[int] = set()  # elements of the last pair
         self._asked: set[str] = set()  # paths of queries
         self._priors: set[str] = set()  # what was told of labels
         self._points = 0
@@ -67,12 +70,13 @@ class MapLog:
         if len(elements):
             shown = _ellipsoids(elements, elements.motion_class, elements.labels)
             self._rec.log(f"{MAP}/elements", shown, rr.AnyValues(**element_columns(elements)))
+        self._unseen(result)
         for i in result.touched:
             if i in result.elements:
                 self._history(result.elements[i], at)
                 self._prior(result.elements[i])
         self._features(result, at)
-        if len(result.background.cells) > GROWTH * self._points:
+        if sum(len(cloud.cells) for cloud in result.clouds) > GROWTH * self._points + MORE:
             self._cloud(result)
 
     def answer(self, result: Answer) -> None:
@@ -139,6 +143,13 @@ class MapLog:
         self._scalars.add(f"{path}/o", at, float(latest["o"]))
         self._scalars.add(f"{path}/kappa", at, float(latest["kappa"]))
 
+    def _unseen(self, result: WorldMap) -> None:
+        """A state of their own for elements that left the view."""
+        for i in self._in_view - set(result.touched):
+            self._states[i] = (self._states[i][0], "unseen")
+            self._rec.log(f"{MAP}/elements/{i}", rr.StateChange(state=list(self._states[i])))
+        self._in_view = {i for i in result.touched if i in result.elements}
+
     def _prior(self, element: Element) -> None:
         """Once a label: its movability and where that comes from, a fallback too."""
         told = f"movability of {element.label!r}: {element.rho:.2f}, {element.rho_source}"
@@ -161,8 +172,11 @@ class MapLog:
 
 
 def slug(text: str) -> str:
-    """A query's name in entity paths."""
-    return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:60] or "query"
+    """A query's name in entity paths: its words, and a digest where they do not tell all."""
+    plain = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:60]
+    if plain.replace("_", " ") == text:
+        return plain
+    return f"{plain}_{hashlib.sha256(text.encode('utf-8', 'backslashreplace')).hexdigest()[:6]}".lstrip("_")
 
 
 def hits(elements: Elements, rows: Int64, answer: Answer) -> rr.Ellipsoids3D:

@@ -1,0 +1,21 @@
+"""The end of a Rerun recording: whether it came whole onto the disk."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import rerun as rr
+
+FOOTER = b"RRF2FOOT"  # starts the last twelve bytes of a whole recording
+
+
+def finish(rec: rr.RecordingStream, path: Path) -> None:
+    """Write what waits and the footer. Raises OSError or RuntimeError where the disk did not take it."""
+    rec.flush()
+    rec.disconnect()  # writes the footer, and only prints if it cannot
+    with path.open("rb") as f:
+        f.seek(-len(FOOTER) - 4, os.SEEK_END)
+        if not f.read().startswith(FOOTER):
+            raise OSError("its footer is missing")
+        os.fsync(f.fileno())
