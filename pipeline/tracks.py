@@ -107,7 +107,10 @@ def _similarities(
 def _overlaps(
     sightings: Sightings, carried: Carried | None, known: list[int], first_ns: int
 ) -> tuple[Float64, NDArray[np.bool_]]:
-    """Intersection over union of carried masks and instances (m, n); known where the element was in the last frame."""
+    """Intersection over union of carried masks and instances (m, n); known where the last frame can be carried here.
+
+    0 for an element that was not in it: what is found again must not outrank what was never lost.
+    """
     segments = sightings.segments
     shape = (len(known), len(segments))
     iou, there = np.zeros(shape), np.zeros(shape, np.bool_)
@@ -125,8 +128,8 @@ def _overlaps(
     place = {element: row for row, element in enumerate(known)}
     for i, element in enumerate(carried.ids.tolist()):
         if element in place:
-            iou[place[element]], there[place[element]] = ratio[i], True
-    return iou, there
+            iou[place[element]] = ratio[i]
+    return iou, np.ones(shape, np.bool_)
 
 
 def _nearness(

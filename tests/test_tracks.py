@@ -133,6 +133,17 @@ def test_a_good_match_is_not_given_up_for_two_poor_ones():
     assert found[1][0] == 1 and found[1][1] not in (1, 2)
 
 
+def test_what_was_never_lost_outranks_what_is_found_again():
+    """A second chair stood in the same place long ago; the one that is followed keeps the instance."""
+    box = (10, 10, 30, 30)
+    here = [[0.25, 0.25, 1.0]]
+    ghost = scene([(0, 50, 20, 20)], names=["chair"], positions=here)
+    chair = scene([box], names=["chair"], positions=[[0.4, 0.25, 1.0]])
+    shrunk = scene([(10, 10, 30, 25)], names=["chair"], positions=here)
+    found = follow([ghost, scene([]), chair, chair, shrunk])
+    assert found[3] == found[2] == found[4]
+
+
 def test_a_mask_that_shrinks_does_not_outweigh_the_rest():
     before = np.zeros((H, W), np.int32)
     before[10:50, 10:50] = 1

@@ -163,7 +163,7 @@ class ObjectSettings:
 class TrackSettings:
     """Which instance is which element. Identities of the source bypass it."""
 
-    min_similarity: float = knob(0.35, "an assignment scores at least this, in [0, 1]", low=0, high=1)
+    min_similarity: float = knob(0.3, "an assignment scores at least this, in [0, 1]", low=0, high=1)
     overlap_weight: float = knob(0.5, "weight of the mask carried by the flow (IoU)", low=0)
     position_weight: float = knob(0.25, "weight of the 3-D distance", low=0)
     feature_weight: float = knob(0.25, "weight of label and semantic feature", low=0)
