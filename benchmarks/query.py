@@ -16,8 +16,8 @@ import numpy as np
 
 from benchmarks.kernels import milliseconds
 from vlmm_log.elements import Elements
-from vlmm_log.pipeline.query import answer
-from vlmm_log.pipeline.query_parser import parse
+from vlmm_log.pipeline.language.answer import answer
+from vlmm_log.pipeline.language.parser import parse
 from vlmm_log.queries import View
 from vlmm_log.settings import Settings
 

@@ -44,6 +44,8 @@ def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings) -> El
     motion_class, confidence = classify(o, kappa, movability.rho, s)
     moved = (sigmas / s.o_unit > s.tau_o) & (kappas >= s.kappa_o) | (seen["part"] > s.part)
     weight = float(kappas.sum())
+    pairs = 1 if motion_class is MotionClass.MOVING else s.interval_pairs  # what moves as a rule needs no more proof
+    intervals = motion_intervals(seen, moved, pairs)
     return Element(
         evidence,
         label,
@@ -57,8 +59,8 @@ def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings) -> El
         confidence,
         float(chdtrc(3, median**2)),
         float(kappas @ sigmas) / s.o_unit / weight if weight else 0.0,
-        _speed(seen[moved]),
-        motion_intervals(seen, moved, s.interval_pairs),
+        _speed(seen[moved & _within(seen, intervals)]),
+        intervals,
     )
 
 
@@ -88,6 +90,15 @@ def _speed(moved: Observations) -> float:
     seconds = (moved["second_ns"] - moved["first_ns"]) / 1e9
     length = np.linalg.norm(moved["drift"].astype(np.float64), axis=1)
     return float(np.median(length / np.maximum(seconds, 1e-9)))
+
+
+def _within(seen: Observations, intervals: Int64) -> NDArray[np.bool_]:
+    """(k,) whether each observation began in a motion interval."""
+    first = seen["first_ns"]
+    inside = np.zeros(seen.size, np.bool_)
+    for start, stop in intervals:
+        inside |= (first >= start) & (first < stop)
+    return inside
 
 
 def motion_intervals(seen: Observations, moved: NDArray[np.bool_], pairs: int) -> Int64:

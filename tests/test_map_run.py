@@ -171,7 +171,7 @@ def test_elements_histories_are_states(run):
         if "StateChange:state" in batch.schema.names:
             rows = zip(batch["frame"].to_pylist(), batch["StateChange:state"].to_pylist(), strict=True)
             states.setdefault(chunk.entity_path, []).extend(rows)
-    assert sorted(states["/world/map/elements/3"]) == [(0, ["moving", "still"]), (2, ["moving", "moves"])]
+    assert sorted(states["/world/map/elements/3"]) == [(0, ["moving", "moves"])]
     assert states["/world/map/elements/2"] == [(0, ["static", "still"])]
 
 
@@ -238,6 +238,41 @@ vlmm_log.process(sys.argv[1], rrd=sys.argv[2], settings=s, progress=tell)
     whole = run[0].map.world.evidence
     for i, o in seen.items():
         assert o.tobytes() == whole[i].observations[: o.size].tobytes()
+
+
+def test_a_recording_that_was_cut_off_is_read_once_repaired(run, tmp_path):
+    data = run[1].read_bytes()
+    (tmp_path / "cut.rrd").write_bytes(data[: len(data) * 3 // 4])
+    with pytest.raises(InputError, match="rerun rrd optimize"):
+        read_map(tmp_path / "cut.rrd")
+    repair = ["-m", "rerun_cli", "rrd", "optimize", tmp_path / "cut.rrd", "-o", tmp_path / "whole.rrd"]
+    subprocess.run([sys.executable, *repair], check=True, capture_output=True)
+    saved = read_map(tmp_path / "whole.rrd")
+    assert not saved.end.complete and saved.world.evidence
+
+
+def test_outputs_that_collide_are_refused_before_the_run(room, run, tmp_path):
+    for names in ({"rrd": "a.json", "map": "a.json"}, {"rrd": "a.json.partial", "map": "a.json"}):
+        with pytest.raises(InputError, match="two outputs"):
+            vlmm_log.process(room, **{k: tmp_path / v for k, v in names.items()}, settings=settings(room))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        vlmm_log.process(room, map=tmp_path / "file/a.json", settings=settings(room))
+    with pytest.raises(InputError, match="cannot be written"):
+        vlmm_log.process(room, map=tmp_path / f"{'a' * 250}.json", settings=settings(room))
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+    copy = tmp_path / "copy.rrd"
+    shutil.copy(run[1], copy)
+    for outputs in ({"rrd": copy}, {"rrd": tmp_path / "x", "grid": tmp_path / "x"}):
+        with pytest.raises(InputError, match=r"is the input|two outputs"):
+            find(copy, QUERIES[0], **outputs, force=True)
+    assert copy.read_bytes() == run[1].read_bytes()
+
+
+def test_a_finished_map_does_not_follow_other_thresholds(run):
+    with pytest.raises(InputError, match="process the log again"):
+        vlmm_log.query(run[2], QUERIES[0], sets=["map.tau_o=50"])
+    assert not vlmm_log.query(run[2], QUERIES[0], sets=["query.threshold=0.99"]).ids.size
 
 
 def test_an_interrupted_run_writes_no_map_but_its_recording_holds_one(room, tmp_path):

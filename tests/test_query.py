@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from known_map import MOVING, ROWS, STATIC, THETA, embed, known_map, view
 
-from vlmm_log.pipeline.query import answer
-from vlmm_log.pipeline.query_explain import explain
-from vlmm_log.pipeline.query_parser import parse
-from vlmm_log.pipeline.query_router import lists, route
-from vlmm_log.pipeline.query_space import nearest
+from vlmm_log.pipeline.language.answer import answer
+from vlmm_log.pipeline.language.explain import explain
+from vlmm_log.pipeline.language.parser import parse
+from vlmm_log.pipeline.language.router import lists, route
+from vlmm_log.pipeline.language.space import nearest
 from vlmm_log.queries import Order, Query, View, from_json, to_json
 from vlmm_log.query_tree import (
     CLASSES,
@@ -40,6 +40,7 @@ from vlmm_log.types import InputError
 
 S = Settings()
 EVERY = {row[0] for row in ROWS}
+RANKED = [(1, "office chair", 0.6), (2, "office chair", 0.9), (3, "chair", 0.8), (4, "door", 0.3)]
 
 
 def asked(query, elements=None, at=None, **changed):
@@ -228,6 +229,31 @@ def test_a_reason_tells_the_values_that_decided():
     assert "rho 0.95 >= 0.55 (table: AI2-THOR)" in asked("movable mugs").reasons[0]
 
 
+CHAIRS = [(i, label, (i, 0, 0), 1, rho, STATIC, 1, 1, 1, 1, 1, []) for i, label, rho in RANKED]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("chairs", [(3, 1.0), (1, 0.71), (2, 0.71)]),
+        (
+            "chairs not within 0.5 m of the door",
+            [(3, 1.0), (1, 0.71), (2, 0.71)],
+        ),  # crisp: leaves the order alone
+        ("chairs near the chair", [(3, 1.0), (1, 0.71), (2, 0.71)]),
+        ("chairs seen after 3 s and not seen fewer than 1 times", [(3, 1.0), (1, 0.71), (2, 0.71)]),
+        ("movable chairs not left of the door", [(3, 0.8), (2, 0.64), (1, 0.42)]),
+        ("chairs that are not moving", [(3, 0.6), (1, 0.42), (2, 0.42)]),  # 1 / (1 + tau_o) is said against each
+        ("things that are not chairs", [(4, 1.0)]),
+        ("things that are not tables or doors", [(1, 1.0), (2, 1.0), (3, 1.0)]),
+    ],
+)
+def test_negated_and_filtered_answers_are_ranked_by_what_is_graded(text, expected):
+    of = asked(text, elements=known_map(CHAIRS), near_m=1.5)
+    assert of.ids.tolist() == [i for i, _ in expected]
+    np.testing.assert_allclose(of.scores, [score for _, score in expected], atol=0.006)
+
+
 def test_an_element_without_a_feature_has_no_name_whatever_the_threshold():
     assert 9 not in found(Query(Named("chair")), threshold=0.0)
     assert 9 in found(Query(Not(Named("chair"))), threshold=0.0)
@@ -255,6 +281,12 @@ def test_what_is_unknown_holds_neither_way():
     of = asked("the nearest chair", at=without_camera)
     assert (of.ids.size, "3 left out, no distance_m known" in of.explanation) == (0, True)
     assert found("things above the table", at=without_camera) == {3}
+
+
+def test_on_my_right_is_what_lies_there_with_all_of_it():
+    rows = [(i, "table", (2, -0.2, 1), size, 1, STATIC, 1, 1, 1, 1, 1, []) for i, size in ((1, 0.1), (2, 3))]
+    assert found("things on my right", elements=known_map(rows)) == {1}
+    assert found("things in front of me", elements=known_map(rows)) == {1, 2}
 
 
 def test_positions_that_are_not_finite_are_nowhere():
@@ -374,6 +406,11 @@ def test_any_query_is_answered_and_told(query):
     assert len(set(of.ids.tolist())) == len(of.ids)
     assert np.isfinite(of.scores).all()
     assert all(of.reasons)
+    falling = of.scores if query.order is None or query.order.direction == "most" else -of.scores
+    assert (np.diff(falling) <= 0).all()
+    if query.order is None:
+        assert ((of.scores > 0) | (of.ids == 10)).all()  # of 10 every number is unknown
+        assert ((of.scores >= 0) & (of.scores <= 1)).all()
     assert "\n" not in explain(query).replace(query.text, "") or any("\n" in w for w in query.unparsed)
 
 
@@ -383,6 +420,14 @@ def test_a_tree_and_its_negation_share_nothing_and_negating_twice_changes_nothin
     yes, no = found(Query(tree)), found(Query(Not(tree)))
     assert not yes & no
     assert found(Query(Not(Not(tree)))) == yes
+
+
+@given(trees, trees)
+@settings(max_examples=40, deadline=None)
+def test_scores_obey_de_morgan(a, b):
+    for many, other in ((AnyOf, AllOf), (AllOf, AnyOf)):
+        one, two = asked(Query(Not(many((a, b))))), asked(Query(other((Not(a), Not(b)))))
+        assert (one.ids.tolist(), one.scores.tolist()) == (two.ids.tolist(), two.scores.tolist())
 
 
 @given(trees, trees)

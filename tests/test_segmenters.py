@@ -529,7 +529,7 @@ def test_a_mask_that_cannot_be_used_is_an_error(tmp_path, image, told):
         ({}, None, "no mask"),
         ({"a.txt": b""}, None, "no mask"),
         ({"first.png": MASK}, None, "neither an index nor a time"),
-        ({"1.png": MASK, "2.5.png": MASK}, None, "an index among times"),
+        ({"1.png": MASK, "2.5.png": MASK}, None, "an index among names that are none"),
         ({"1.png": MASK, "001.png": MASK}, None, "two masks of one index"),
         ({"nan.png": MASK}, None, "neither an index nor a time"),
         ({"1e30.png": MASK}, None, "too late a time"),

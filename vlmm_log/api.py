@@ -16,6 +16,7 @@ from vlmm_log.ask import Questions, parse
 from vlmm_log.interrupt import Interruption
 from vlmm_log.maps import MAP_SUFFIXES, SavedMap, save_map
 from vlmm_log.models.load import load_models
+from vlmm_log.outputs import claim
 from vlmm_log.pipeline.run import Tally, empty_world, expected_pairs, keyframe_pairs, step
 from vlmm_log.protocols import Log, Models, Moment, Progress, Sink
 from vlmm_log.queries import Answer
@@ -71,8 +72,10 @@ def process(
         raise InputError(f"{source}: no poses, and ego.model = off needs them; use rigid or row_linear")
     asked, by_parser = parse(queries, s)
     expected = expected_pairs(log.count(*_window(s)), s.keyframes)
-    target = None if rrd is None else _free(Path(rrd), force)
-    map_target = None if map is None else _free_map(Path(map), force)
+    target, map_target = (None if name is None else Path(name) for name in (rrd, map))
+    if map_target is not None:
+        _check_map_name(map_target)
+    claim([path for path in (target, map_target) if path is not None], force=force, inputs=[source])
     models, of_models = load_models(s)
     run = Run(
         log.name, reader.name, s.to_toml(), _versions() | of_models, log.has_poses, log.world_up, tuple(log.notes)
@@ -197,21 +200,11 @@ def _close(sink: Sink, end: RunEnd, failure: BaseException | None) -> None:
         failure.add_note(f"then: {e}")
 
 
-def _free(path: Path, force: bool) -> Path:
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file, for example {path / 'out.rrd'}")
-    for taken in (path, path.with_name(path.name + ".partial")):  # the latter is left of an interrupted run
-        if taken.exists() and not force:
-            raise InputError(f"{taken}: exists; give --force to replace it")
-    return path
-
-
-def _free_map(path: Path, force: bool) -> Path:
+def _check_map_name(path: Path) -> None:
     if path.suffix.lower() not in MAP_SUFFIXES:
         raise InputError(f"{path}: a map is written as {', '.join(MAP_SUFFIXES)}; name it so")
     if path.suffix.lower() == ".ply" and find_spec("open3d") is None:
         raise InputError(f"{path}: a PLY needs Open3D: pip install 'vlmm-log[sim]'; or name a .json or .parquet")
-    return _free(path, force)
 
 
 def _why(summary: Summary) -> str:

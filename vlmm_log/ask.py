@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vlmm_log.elements import Elements, MotionClass
-from vlmm_log.pipeline.query import answer
-from vlmm_log.pipeline.query_explain import explain
+from vlmm_log.outputs import claim
+from vlmm_log.pipeline.language.answer import answer
+from vlmm_log.pipeline.language.explain import explain
 from vlmm_log.queries import Answer, Query, View
 from vlmm_log.settings import MapSettings, QuerySettings, Settings
 from vlmm_log.types import Float64, InputError
@@ -64,11 +65,11 @@ def load_parser(s: Settings) -> Parser:
     """The parser of ``query.parser``. Raises InputError for an unknown one."""
     kind, _, url = s.query.parser.partition(":")
     if s.query.parser == "default":
-        from vlmm_log.pipeline.query_parser import parse as default
+        from vlmm_log.pipeline.language.parser import parse as default
 
         return default
     if s.query.parser == "paper":
-        from vlmm_log.pipeline.query_router import route
+        from vlmm_log.pipeline.language.router import route
 
         return route
     if kind == "llm" and url:
@@ -82,6 +83,8 @@ def load_parser(s: Settings) -> Parser:
 def load_map(path: str | Path) -> SavedMap:
     """The map of a map file (.json, .parquet) or a recording (.rrd). Raises InputError where it is neither."""
     path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; process it, and ask its map (.json, .parquet) or recording (.rrd)")
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a map (.json, .parquet) or a recording (.rrd)")
     if _is_recording(path):
@@ -165,6 +168,7 @@ def find(
     source = Path(source)
     if masks is not None and not _is_recording(source):
         raise InputError(f"{source}: a map file holds no masks; ask the run's recording (.rrd)")
+    claim([path for path in (rrd, *_grid_files(grid)) if path is not None], force=force, inputs=[source])
     saved = load_map(source)
     s = _settings(saved, sets)
     found, told = _ask(saved, text, s)
@@ -178,7 +182,7 @@ def find(
         save_grid(grid, occupancy(saved, s.grid, ids.tolist()), force=force)
         outputs.append(grid)
     if rrd is not None:
-        from vlmm_log.maps.output import replacing
+        from vlmm_log.outputs import replacing
         from vlmm_log.recording import read_masks
         from vlmm_log.sinks.hits import write_hits
 
@@ -195,8 +199,22 @@ def find(
     return Found(found, saved.world.columns, tuple(outputs), told)
 
 
+def _grid_files(grid: Path | None) -> tuple[Path, ...]:
+    if grid is None:
+        return ()
+    return (grid,) if grid.suffix == ".npz" else (grid, grid.with_suffix(".pgm"))
+
+
 def _settings(saved: SavedMap, sets: Sequence[str]) -> Settings:
-    return Settings.from_toml(saved.run.settings, saved.run.source).changed(sets)
+    """The map's own settings, changed. Raises InputError for those that a finished map cannot follow."""
+    made = Settings.from_toml(saved.run.settings, saved.run.source)
+    changed = made.changed(sets)
+    asking = replace(changed.objects, **{name: getattr(made.objects, name) for name in ("embedder", "llm_model")})
+    if replace(changed, query=made.query, grid=made.grid, objects=asking) != made:
+        raise InputError(
+            f"--set {' '.join(sets)}: the map was made with its settings; process the log again with these"
+        )
+    return changed
 
 
 def _ask(saved: SavedMap, text: str, s: Settings) -> tuple[Answer, tuple[str, ...]]:

@@ -121,7 +121,7 @@ class Element:
     confidence: float  # c of the paper: kappa, rho or 1 - rho
     p_stat: float  # static-consistency p-value of the pixel at o: chi-square tail of (o in sigmas)^2; 1/4 if still
     score: float  # kappa-weighted mean of o: does not forget a mover that mostly stood still
-    speed: float  # m/s: median over the observations that moved of |drift| / time; 0 if none did
+    speed: float  # m/s: median of |drift| / time over the observations in intervals; 0 if there is none
     intervals: Int64  # (m, 2) ns, spans in which it was observed to move
 
     def __post_init__(self) -> None:

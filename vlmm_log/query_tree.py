@@ -132,6 +132,7 @@ class AnyOf:
     nodes: tuple[Node, ...] = ()
 
 
+Span = tuple[float | None, float | None]  # s, as in Moved and Seen
 Node = Named | Class | Moved | Seen | Movable | Compare | Near | Side | Not | AllOf | AnyOf
 KINDS: Mapping[str, type[Node]] = {
     "all": AllOf,
@@ -164,6 +165,46 @@ def walk(root: Node) -> Iterator[tuple[Node, int]]:
                 stack.extend((child, depth + 1) for child in reversed(nodes))
             case _:
                 pass
+
+
+def within(node: Node, span: Span) -> Node:
+    """The tree with its motions bound to a time span; where it speaks of none, seen in that span."""
+    bound = _bound(node, Moved(*span))
+    return bound if bound != node else both(node, Seen(*span))
+
+
+def _bound(node: Node, moved: Moved) -> Node:
+    match node:
+        case Moved(None, None):
+            return moved
+        case Not(inner):
+            return Not(_bound(inner, moved))
+        case AllOf(nodes):
+            return AllOf(tuple(_bound(n, moved) for n in nodes))
+        case AnyOf(nodes):
+            return AnyOf(tuple(_bound(n, moved) for n in nodes))
+        case _:
+            return node
+
+
+def both(*nodes: Node) -> Node:
+    """All of them, flat."""
+    flat: list[Node] = []
+    for node in nodes:
+        flat += node.nodes if isinstance(node, AllOf) else [node]
+    unique = tuple(dict.fromkeys(flat))
+    return unique[0] if len(unique) == 1 else AllOf(unique)
+
+
+def either(nodes: list[Node]) -> Node:
+    """Any of them."""
+    unique = tuple(dict.fromkeys(nodes))
+    return unique[0] if len(unique) == 1 else AnyOf(unique)
+
+
+def negated(node: Node) -> Node:
+    """Not the node."""
+    return node.node if isinstance(node, Not) else Not(node)
 
 
 def short(value: object) -> str:

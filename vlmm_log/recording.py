@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import warnings
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -72,17 +74,21 @@ class _Rows:
 
     @staticmethod
     def of(path: Path) -> _Rows:
-        rows = _Rows()
+        parts: dict[tuple[str, bytes], dict[str, Any]] = defaultdict(dict)  # a row's columns may lie in several chunks
         for entity, batch in _batches(path, ENTITIES):
-            for row in range(batch.num_rows):
+            ids = batch.column("rerun.controls.RowId").to_pylist()
+            for row, row_id in enumerate(ids):
                 values = {name: _value(batch, name, row) for name in batch.schema.names}
-                rows.add(entity, {name: value for name, value in values.items() if value is not None})
+                parts[entity, row_id].update({name: value for name, value in values.items() if value is not None})
+        rows = _Rows()
+        for (entity, _), values in parts.items():
+            rows.add(entity, values)
         return rows
 
     def add(self, entity: str, row: dict[str, Any]) -> None:
         if entity == OBSERVATIONS and "element_id" in row:
             self._observe(row)
-        elif entity == FEATURES:
+        elif entity == FEATURES and "feature" in row:
             vectors = row["feature"].reshape(len(row["element_id"]), -1)
             for i, vector in zip(row["element_id"].tolist(), vectors, strict=True):
                 self.features[i, row["frame"]] = vector
@@ -94,7 +100,7 @@ class _Rows:
             T[:3, :3] = row["Transform3D:mat3x3"].reshape(3, 3).T
             T[:3, 3] = row["Transform3D:translation"].ravel()
             self.cameras.append((row["time"], T))
-        elif entity == POINTS:
+        elif entity == POINTS and "Points3D:positions" in row:
             cloud = (row["time"], row["Points3D:positions"], row["Points3D:colors"])
             self.cloud = max(cloud, self.cloud or cloud, key=lambda c: len(c[1]))
         elif entity in (RUN, END):
@@ -114,11 +120,15 @@ class _Rows:
 
 def _batches(path: Path, entities: list[str]) -> Iterator[tuple[str, pa.RecordBatch]]:
     try:
-        stream = rerun.chunk.RrdReader(path).stream().filter(content=entities)
-        for chunk in stream:
+        with warnings.catch_warnings(action="ignore"):  # that a killed writer left no footer, the map tells
+            stream = rerun.chunk.RrdReader(path).stream()
+        for chunk in stream.filter(content=entities):
             yield chunk.entity_path, chunk.to_record_batch()
     except (OSError, ValueError, RuntimeError) as e:
-        raise InputError(f"{path}: cannot be read as a Rerun recording: {str(e)[:120]}") from e
+        remedy = (
+            f"; if it was cut off: rerun rrd optimize {path} -o REPAIRED.rrd" if "exceeds file size" in str(e) else ""
+        )
+        raise InputError(f"{path}: cannot be read as a Rerun recording: {str(e)[-120:]}{remedy}") from e
 
 
 def _value(batch: pa.RecordBatch, name: str, row: int) -> Any:
@@ -159,11 +169,12 @@ def _run(path: Path, row: dict[str, Any]) -> tuple[Run, Settings]:
 
 def _world(rows: _Rows, s: MapSettings) -> WorldMap:
     evidence = {}
+    unknown = np.zeros(next((len(f) for f in rows.features.values()), 0), np.float32)  # cut off before it was written
     for i, seen in sorted(rows.evidence.items()):
         whole = seen[0]
         for one in seen[1:]:
             whole = merge_evidence(whole, one)
-        feature = rows.features.get((i, whole.feature_index), np.zeros(0, np.float32))
+        feature = rows.features.get((i, whole.feature_index), unknown)
         evidence[i] = Evidence(i, whole.votes, whole.observations, feature, whole.feature_pixels, whole.feature_index)
     background = _background(rows, s.voxel_m)
     bare = WorldMap(evidence, {}, (background,), tuple(evidence))

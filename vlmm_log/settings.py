@@ -19,6 +19,7 @@ from vlmm_log.types import InputError
 T = TypeVar("T")
 S = TypeVar("S")
 LARGE = 1e12
+EITHER: Mapping[str, tuple[type, ...]] = {"keyframes.gap": (int, str), "query.threshold": (float, str)}
 NO_OPTIONS: Mapping[str, object] = {}
 
 
@@ -189,7 +190,7 @@ class MapSettings:
         low=0,
         high=1,
     )
-    interval_pairs: int = knob(3, "a motion interval needs this many such pairs in a row", low=1)
+    interval_pairs: int = knob(3, "a motion interval needs this many such pairs in a row (`moving`: one)", low=1)
 
 
 @dataclass(frozen=True)
@@ -197,7 +198,13 @@ class QuerySettings:
     """Language."""
 
     parser: str = knob("default", "default, paper (the paper's keyword router) or llm:URL")
-    threshold: float = knob(-1.0, "theta_s, cosine from which a text names an element; -1: the embedder's", low=-1)
+    threshold: float | str = knob(
+        "auto",
+        "theta_s, cosine from which a text names an element (0.4); auto: the embedder's",
+        low=0,
+        high=1,
+        of=("auto",),
+    )
     near_m: float = knob(1.0, "what 'near' means, m", low=0)
     limit: int = knob(1000, "answers at most", low=1)
 
@@ -389,12 +396,12 @@ def _nearest(name: str, known: Mapping[str, object], prefix: str) -> str:
 
 
 def _checked(value: Any, current: object, meta: Mapping[str, Any], where: str) -> object:
-    if isinstance(current, float) and isinstance(value, int) and not isinstance(value, bool):
+    kinds = EITHER.get(where.rpartition(" ")[2], (type(current),))
+    if float in kinds and type(value) is int:
         value = float(value) if abs(value) < LARGE else math.inf
-    kinds = (int, str) if where.endswith("keyframes.gap") else (type(current),)
     if type(value) not in kinds:
         raise InputError(f"{where}: {value!r} is not {' or '.join(k.__name__ for k in kinds)}")
-    if meta["of"] and value not in meta["of"]:
+    if meta["of"] and isinstance(value, str) and value not in meta["of"]:
         raise InputError(f"{where}: {value!r} is not one of {', '.join(meta['of'])}")
     if isinstance(value, int | float):
         low, high = meta["low"], meta["high"]

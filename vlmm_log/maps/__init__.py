@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vlmm_log.maps.output import replacing
 from vlmm_log.maps.saved import SavedMap, checked
+from vlmm_log.outputs import replacing
 from vlmm_log.types import InputError
 
 __all__ = ["MAP_SUFFIXES", "SavedMap", "load_map", "save_map"]

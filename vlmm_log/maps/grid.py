@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vlmm_log.maps.occupancy import FREE, OCCUPIED, Grid
-from vlmm_log.maps.output import replacing
+from vlmm_log.outputs import replacing
 from vlmm_log.types import InputError, UInt8
 
 BLACK, WHITE, GREY = 0, 254, 205  # occupied, free, unknown, as map_saver writes them

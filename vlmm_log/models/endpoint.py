@@ -116,7 +116,7 @@ class Endpoint:
 
     def _post(self, body: bytes) -> bytes:
         """The body of the first answer with status 200; what may pass is tried again."""
-        from urllib3.exceptions import HTTPError
+        from urllib3.exceptions import HTTPError, ReadTimeoutError
 
         retry = self._retry
         self.cost += Cost(requests=1)
@@ -129,6 +129,8 @@ class Endpoint:
                 error = self._status_error(response.status)
                 if not retry.is_retry("POST", response.status):
                     raise error
+            except ReadTimeoutError as e:  # it had its time: asking again would take as long once more
+                raise self._error(_reason(e)) from e
             except HTTPError as e:
                 error, response, cause = self._error(_reason(e)), None, e
             if not retry.total:

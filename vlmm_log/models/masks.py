@@ -139,7 +139,7 @@ def _stamp_ns(path: Path) -> int:
     except (ArithmeticError, ValueError) as e:
         raise InputError(f"{path}: neither an index nor a time; {NAMING}") from e
     if _is_number(path.stem) or abs(stamp) > LATEST_NS:
-        raise InputError(f"{path}: an index among times, or too late a time; {NAMING}")
+        raise InputError(f"{path}: an index among names that are none, or too late a time; {NAMING}")
     return stamp
 
 

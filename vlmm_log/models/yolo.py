@@ -26,7 +26,8 @@ PADDING = 114  # grey of the letterbox, as in training
 MOST = 300  # detections kept of a frame, as Ultralytics keeps
 THREADS = 4  # more gain little on so small a network
 KINDS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
-HIDDEN = "yolo: detection without a pixel of its own left out"
+OWN_SHARE = 0.5  # a detection that better ones cover by more is a second look at one of them, or has no pixel
+HIDDEN = "yolo: detection that better ones cover left out"
 
 
 @dataclass(frozen=True)
@@ -186,8 +187,9 @@ def segments(
         if not window.size:
             continue
         logits = np.tensordot(found.coefficients[i], prototypes, 1)
-        free = (_resampled(logits, box, (left, top), window.shape) > 0) & (window == 0)
-        if free.any():
+        mask = _resampled(logits, box, (left, top), window.shape) > 0
+        free = mask & (window == 0)
+        if np.count_nonzero(free) > OWN_SHARE * np.count_nonzero(mask):
             kept.append(i)
             window[free] = len(kept)
     n = len(kept)

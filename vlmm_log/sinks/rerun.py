@@ -133,6 +133,7 @@ class Rerun:
             self._log(told, "INFO")
         self._stats.flush()
         self._map.finish()
+        self._rec.flush()  # that it is complete stands behind all that makes it so
         self._rec.send_property(
             "vlmm_end",
             rr.AnyValues(complete=end.complete, input_hash=end.input_hash, frames=end.frames, pairs=end.pairs),
@@ -178,7 +179,7 @@ class Rerun:
     def _keep(self) -> None:
         """Now and then put everything on disk: small entities would wait for a mebibyte, and a kill would take all."""
         self._pairs += 1
-        if self._pairs % PAIRS_A_FLUSH == 0:
+        if self._pairs == 2 or self._pairs % PAIRS_A_FLUSH == 0:
             self._stats.flush()
             self._map.flush()
             self._rec.flush()

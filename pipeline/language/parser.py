@@ -1,25 +1,31 @@
 """The default parser: a recursive-descent grammar over a lexicon, from a text to the filter tree.
 
 It adds to the paper's router what that one lacks: negation, "and" and "or", superlatives, counts, relations and time.
-Every word is accounted for: it is structure (a word of the lexicon that a rule took), part of a name, or it is told in
-``Query.unparsed``. No word falls silently through to semantics.
+Every word is accounted for: a rule took it as structure, or it is part of a name, or it is told in ``Query.unparsed``.
+A word that the lexicon lacks is never structure. Only words that add no condition leave no trace in the tree: articles,
+"please", "in the room", "actually", "around" behind a verb; what else the lexicon knows and no rule takes is told.
 
 What is decided here: nouns joined by "and" are a union, clauses an intersection, and "and" binds closer than "or"; a
-clause behind a list of nouns speaks of all of them; "static", "fixed", "stays still" mean the fused class STATIC, a
-negated verb ("never moves") means not seen to move; with "can" or "could" any verb of motion asks for the movability
-prior; a superlative gives one answer for a singular and ranks all for a plural.
+clause behind a list of nouns speaks of all of them. A clause with "that", "who" or "which" behind the target of a
+relation speaks of the target, and "the door and the window" there are both targets; every other clause, relation and
+time speaks of the first noun. What may be either's ("cups on the table moving") is told. "Static", "fixed", "stays
+still" mean the fused class STATIC, a negated verb ("never moves") means not seen to move; with "can" or "could" any
+verb of motion asks for the movability prior. "Now" is the map's last second, "just" its last five. A superlative gives
+one answer for a singular and ranks all for a plural.
 """
 
 from __future__ import annotations
 
-from vlmm_log.pipeline.query_clauses import NOTHING, Lead, auxiliaries, predicates
-from vlmm_log.pipeline.query_cursor import Cursor
-from vlmm_log.pipeline.query_measures import both, either, negated, time_span, within
-from vlmm_log.pipeline.query_nouns import Asked, Phrase, joined, noun_phrases, starts_phrase, without_last_word
-from vlmm_log.pipeline.query_places import ranked_to
-from vlmm_log.pipeline.query_words import also, tokenise
+from vlmm_log.pipeline.language.asked import Asked, Phrase
+from vlmm_log.pipeline.language.clauses import own_clause, predicates
+from vlmm_log.pipeline.language.cursor import Cursor
+from vlmm_log.pipeline.language.lead import NOTHING, Lead, auxiliaries
+from vlmm_log.pipeline.language.measures import in_time, time_span
+from vlmm_log.pipeline.language.nouns import joined, noun_phrases, starts_phrase, without_last_word
+from vlmm_log.pipeline.language.places import ranked_to
+from vlmm_log.pipeline.language.words import also, tokenise
 from vlmm_log.queries import Query
-from vlmm_log.query_tree import AllOf, Node, refuse, refuse_long
+from vlmm_log.query_tree import AllOf, Node, both, either, negated, refuse, refuse_long
 
 DEEPEST = 6  # exceptions within exceptions
 
@@ -42,7 +48,7 @@ def read(text: str) -> tuple[Query, Cursor]:
     carried = auxiliaries(c, NOTHING) if c.has("aux", "modal") else NOTHING
     _opening(c, asked)
     node = _union(c, asked, carried, 0)
-    node = within(node, span) if span else node
+    node = in_time(node, span) if span else node
     if node == AllOf() and "word" not in c.roles and not (asked.order or asked.limit or _says(c, "thing")):
         c.roles = ["unparsed"] * len(c.roles)  # "please show me the": nothing was asked for
     return Query(node, asked.order, asked.limit, asked.returns, text, c.unparsed()), c
@@ -125,14 +131,15 @@ def _told(c: Cursor, asked: Asked, carried: Lead, depth: int, nodes: list[Node])
         span = None if found else time_span(c)
         if found:
             nodes.append(found)
-            carried = NOTHING
+            asks_on = c.at == c.behind_target and not carried.negate  # "can the chair near the door be moved"
+            carried = carried if asks_on else NOTHING
             if acted_on and starts_phrase(c):
                 nodes += [either([p.node for p in noun_phrases(c)])]
         elif span:
-            nodes = [within(both(*nodes), span)]
+            nodes = [in_time(both(*nodes), span)]
         elif c.has("conj"):
             break
-        elif not (c.accept("stop", "rel", "adverb") or ranked_to(c, asked)):
+        elif not (c.accept("stop", "rel", "adverb") or ranked_to(c, asked, lambda: own_clause(c, asked, 1))):
             c.take("unparsed")
     return nodes
 
@@ -151,14 +158,16 @@ def _clause(c: Cursor, asked: Asked, carried: Lead) -> Node | None:
 
 
 def _exception(c: Cursor, asked: Asked, depth: int) -> Node | None:
-    """ "except the chairs that moved", "but not tables", "without chairs"."""
-    begins = c.has("except") or c.value("neg") == "without" or c.value("conj") == "but"
+    """ "except the chairs that moved", "but not tables"."""
+    begins = c.has("except") or c.value("conj") == "but"
     if not begins or depth >= DEEPEST:
         return None
     start = c.at
     c.take()
     c.accept("neg")
-    if not starts_phrase(c) and not c.has("verb", "still", "movable", "dynamic"):
+    counted = c.has("number") or c.peek().kind == "number"  # "all but two chairs"
+    says = c.has("verb", "still", "movable", "dynamic", "relation", "my_side", "seen")
+    if counted or not (says or starts_phrase(c)):
         c.at = start
         return None
     nodes, _ = _group(c, asked, NOTHING, depth + 1)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from vlmm_log.pipeline.query_cursor import Cursor
-from vlmm_log.query_tree import AllOf, AnyOf, Compare, Moved, Node, Not, Seen
+from vlmm_log.pipeline.language.cursor import Cursor
+from vlmm_log.query_tree import Compare, Node, Not, Seen, Span, both, walk, within
 
 DIMENSIONS = {
     **dict.fromkeys(("size_m", "height_m", "distance_m"), "length"),
@@ -14,6 +14,10 @@ DIMENSIONS = {
     "speed": "speed",
 }
 LARGEST = 1e9
+NOW: Span = (-1.0, None)
+"""The present: a map holds what was seen, so it is the last second before its end."""
+JUST: Span = (-5.0, None)
+"""What "just" speaks of."""
 
 
 @dataclass(frozen=True)
@@ -47,17 +51,34 @@ def number_here(c: Cursor) -> float:
     return float(named) if named else c.peek().number if named is not None else math.nan
 
 
-def time_span(c: Cursor) -> tuple[float | None, float | None] | None:
-    """Seconds from "between 10 s and 12 s", "after 3 s", "in the first 2 seconds"; None where there are none."""
+def time_span(c: Cursor) -> Span | None:
+    """Seconds from "between 10 s and 12 s", "after 3 s", "in the first 2 seconds", "now"; None where there are none."""
     start = c.at
     c.skip("stop")
-    span = _span(c, c.accept("time"))
+    span = present(c) or _span(c, c.accept("time"))
     if span is None:
         c.at = start
     return span
 
 
-def _span(c: Cursor, word: str | None) -> tuple[float | None, float | None] | None:
+def present(c: Cursor) -> Span | None:
+    """What "now", "currently", "still moving" and "just moved" speak of; None where none of them is."""
+    value, text = c.value("present"), c.peek().text
+    before_a_verb = c.value("verb", 1) in ("base", "past") or c.value("aux", 1) == "part"
+    before_a_predicate = before_a_verb or c.has("verb", "movable", "relation", "dynamic", ahead=1)
+    if value is None or (text == "just" and not before_a_verb) or (text == "still" and not before_a_predicate):
+        return None
+    c.take()
+    return NOW if value == "now" else JUST
+
+
+def in_time(node: Node, span: Span) -> Node:
+    """The tree in a time span, see ``within``; what is not so now must have been seen now."""
+    denies = any(isinstance(n, Not) for n, _ in walk(node))
+    return both(within(node, span), Seen(*span)) if denies and span == NOW else within(node, span)
+
+
+def _span(c: Cursor, word: str | None) -> Span | None:
     if word in ("between", "from"):
         return _from_to(c, word)
     if word in ("after", "before", "at"):
@@ -72,7 +93,7 @@ def _span(c: Cursor, word: str | None) -> tuple[float | None, float | None] | No
     return None
 
 
-def _from_to(c: Cursor, word: str) -> tuple[float | None, float | None] | None:
+def _from_to(c: Cursor, word: str) -> Span | None:
     first = quantity(c)
     joined = c.accept("conj") == "and" if word == "between" else c.accept("from_", "time") is not None
     if first and word == "from" and not joined:
@@ -88,46 +109,6 @@ def _from_to(c: Cursor, word: str) -> tuple[float | None, float | None] | None:
 def _seconds(c: Cursor) -> float | None:
     t = quantity(c)
     return t.value if t and t.dimension == "time" else None
-
-
-def within(node: Node, span: tuple[float | None, float | None]) -> Node:
-    """The tree with its motions bound to a time span; where it speaks of none, seen in that span."""
-    bound = _bound(node, Moved(*span))
-    return bound if bound != node else both(node, Seen(*span))
-
-
-def _bound(node: Node, moved: Moved) -> Node:
-    match node:
-        case Moved(None, None):
-            return moved
-        case Not(inner):
-            return Not(_bound(inner, moved))
-        case AllOf(nodes):
-            return AllOf(tuple(_bound(n, moved) for n in nodes))
-        case AnyOf(nodes):
-            return AnyOf(tuple(_bound(n, moved) for n in nodes))
-        case _:
-            return node
-
-
-def both(*nodes: Node) -> Node:
-    """All of them, flat."""
-    flat: list[Node] = []
-    for node in nodes:
-        flat += node.nodes if isinstance(node, AllOf) else [node]
-    unique = tuple(dict.fromkeys(flat))
-    return unique[0] if len(unique) == 1 else AllOf(unique)
-
-
-def either(nodes: list[Node]) -> Node:
-    """Any of them."""
-    unique = tuple(dict.fromkeys(nodes))
-    return unique[0] if len(unique) == 1 else AnyOf(unique)
-
-
-def negated(node: Node) -> Node:
-    """Not the node."""
-    return node.node if isinstance(node, Not) else Not(node)
 
 
 def comparison(c: Cursor) -> Node | None:

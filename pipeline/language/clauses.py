@@ -2,91 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from vlmm_log.pipeline.query_cursor import Cursor
-from vlmm_log.pipeline.query_measures import (
+from vlmm_log.pipeline.language.asked import Asked
+from vlmm_log.pipeline.language.cursor import Cursor
+from vlmm_log.pipeline.language.lead import Lead, lead
+from vlmm_log.pipeline.language.measures import (
     after_motion,
-    both,
     comparison,
-    either,
-    negated,
+    in_time,
     time_span,
-    within,
 )
-from vlmm_log.pipeline.query_nouns import (
-    Asked,
+from vlmm_log.pipeline.language.nouns import (
     described,
     joined,
     noun_phrases,
     starts_phrase,
     superlative,
 )
-from vlmm_log.pipeline.query_places import place, ranked_to
-from vlmm_log.pipeline.query_words import looks_like_participle
+from vlmm_log.pipeline.language.places import place, ranked_to
+from vlmm_log.pipeline.language.words import looks_like_participle
 from vlmm_log.queries import Order
-from vlmm_log.query_tree import AllOf, Class, Movable, Moved, Node, Seen, walk
+from vlmm_log.query_tree import AllOf, Class, Movable, Moved, Node, Seen, both, either, negated, walk
 
-
-@dataclass(frozen=True)
-class Lead:
-    """What stands before the heart of a predicate: "could not be", "did", "somebody"."""
-
-    negate: bool = False
-    can: bool = False
-    be: bool = False
-    finite: bool = False  # an auxiliary or modal of its own
-    do: bool = False
-    agent: str = ""
-    inner: int = 0  # clauses of targets that it lies within
-
-
-NOTHING = Lead()
 DEEPEST = 3  # clauses of targets within each other
-
-
-def lead(c: Cursor, carried: Lead) -> Lead:
-    """All words before the heart; ``can`` is carried on until another auxiliary ends it ("can be lifted or moved")."""
-    now = auxiliaries(c, replace(carried, finite=False, negate=False))
-    while agent := _agent_here(c):
-        c.skip("det")
-        c.take()
-        now = auxiliaries(c, replace(now, agent=agent))
-    return now
-
-
-def auxiliaries(c: Cursor, now: Lead) -> Lead:
-    """Auxiliaries, modals, negations and adverbs; those of a question come before its subject."""
-    while True:
-        aux, neg, modal = c.value("aux"), c.value("neg"), c.value("modal")
-        if aux is not None:
-            own = aux != "part"
-            ended = own and not now.finite
-            be, do = now.be or aux in ("be", "part"), now.do or aux == "do"
-            now = replace(now, be=be, do=do, finite=now.finite or own, can=now.can and not ended)
-        elif neg in ("not", "no") or (neg == "without" and c.has("dynamic", "verb", ahead=1)):
-            now = replace(now, negate=not now.negate)
-        elif modal == "can" or (modal == "to" and c.has("verb", "aux", ahead=1)):
-            now = replace(now, can=True, finite=True)
-        elif not (c.has("stop") or (c.has("adverb") and c.peek().text != "still") or _still_is_adverb(c)):
-            return now
-        c.take()
-
-
-def _still_is_adverb(c: Cursor) -> bool:
-    return c.peek().text == "still" and c.has("verb", "movable", "relation", "dynamic", ahead=1)
-
-
-def _agent_here(c: Cursor) -> str:
-    """Who acts in "a robot could lift", "somebody pushed"; "" where nobody does.
-
-    A map does not hold who moved what: "the chair the robot pushed" has an agent that must be told as not understood.
-    """
-    ahead = 1 if c.has("det") and not c.has("agent") else 0
-    value = c.value("agent", ahead)
-    general = c.has("modal", ahead=ahead + 1) or c.value("verb", ahead + 1) in ("base", "third")
-    acts = general if value == "noun" else c.has("aux", "modal", "verb", "neg", "adverb", ahead=ahead + 1)
-    return c.peek(ahead).text if value and acts else ""
 
 
 def predicates(c: Cursor, asked: Asked, carried: Lead) -> Node | None:
@@ -98,6 +37,9 @@ def predicates(c: Cursor, asked: Asked, carried: Lead) -> Node | None:
     groups: list[list[Node]] = [[node]]
     while True:
         start = c.at
+        if _of_either(c, head):
+            c.take("unparsed")
+            return either([both(*group) for group in groups])
         joint = joined(c)
         following = None if joint is None or starts_phrase(c) else predicate(c, asked, replace(head, agent=""))
         if following is None:
@@ -117,19 +59,37 @@ def predicate(c: Cursor, asked: Asked, carried: Lead) -> tuple[Node, Lead] | Non
     """One predicate and what stood before it; None, with nothing taken, where there is none."""
     start = c.at
     head = lead(c, carried)
-    node = _heart(c, asked, head)
+    node = None if start == c.behind_target and _of_target_too(c, head) else _heart(c, asked, head)
     if node is None:
         c.at = start
         return None
-    span = time_span(c) if any(isinstance(n, Moved | Seen) for n, _ in walk(node)) else None
-    node = within(node, span) if span else node
-    return (negated(node) if head.negate else node), head
+    span = head.span
+    if span is None and any(isinstance(n, Moved | Seen) for n, _ in walk(node)):
+        span = time_span(c)
+    node = negated(node) if head.negate else node
+    return (in_time(node, span) if span else node), head
+
+
+def _of_either(c: Cursor, head: Lead) -> bool:
+    """Whether what is joined may be the target's or the first noun's: "near a person who moved and that is static"."""
+    behind_clause = head.inner > 0 and c.has("conj") and c.has("rel", "relation", ahead=1)
+    return behind_clause or (c.at == c.behind_target and c.value("conj") == "comma" and c.has("rel", ahead=1))
+
+
+def _of_target_too(c: Cursor, head: Lead) -> bool:
+    """Whether what follows a target may speak of it as well as of the first noun: "cups on the table moving"."""
+    if head.agent:
+        return True
+    form = c.value("verb")
+    asks = c.question and form == "past"  # "which chairs near the door moved"
+    participle = form in ("ing", "past") or c.has("still", "movable", "dynamic")
+    return participle and not (head.finite or head.be or head.do or head.can or asks)
 
 
 def _heart(c: Cursor, asked: Asked, head: Lead) -> Node | None:
     node = _motion(c, asked, head) or _stay(c) or described(c) or _likely(c, asked)
     node = node or (_is_a(c, asked) if head.be else None) or _ranked(c, asked)
-    return node or place(c, lambda: _own_clause(c, asked, head.inner + 1)) or comparison(c) or _seen(c)
+    return node or place(c, lambda: own_clause(c, asked, head.inner + 1)) or comparison(c) or _seen(c)
 
 
 def _motion(c: Cursor, asked: Asked, head: Lead) -> Node | None:
@@ -137,8 +97,10 @@ def _motion(c: Cursor, asked: Asked, head: Lead) -> Node | None:
     form = c.value("verb")
     if form is None or (head.be and not head.can and form in ("base", "third", "state")):
         return None  # "is open" is no motion
-    c.take()
     generic = form in ("base", "third") and bool(head.agent) and not head.do  # "things people move"
+    if head.agent in ("personal", "noun") and not (head.can or generic):
+        return None  # "what did I move"
+    c.take()
     node: Node = Movable() if head.can or generic else Moved()
     while True:
         more = after_motion(c)
@@ -222,15 +184,17 @@ def _ranked(c: Cursor, asked: Asked) -> Node | None:
         return None
     c.take()
     asked.order, nodes = superlative(value)
-    ranked_to(c, asked)
+    ranked_to(c, asked, lambda: own_clause(c, asked, 1))
     return both(*nodes)
 
 
-def _own_clause(c: Cursor, asked: Asked, inner: int) -> Node | None:
-    """The clause that is all of a target: "near something that moved"."""
+def own_clause(c: Cursor, asked: Asked, inner: int) -> Node | None:
+    """What is said of a target: "near something that moved", "near the door that opened"; None where nothing is."""
+    start = c.at
     c.skip("rel")
-    own = predicate(c, asked, Lead(inner=inner)) if inner <= DEEPEST else None
-    return own[0] if own else None
+    own = predicates(c, asked, Lead(inner=inner)) if inner <= DEEPEST else None
+    c.at = start if own is None else c.at
+    return own
 
 
 def _seen(c: Cursor) -> Node | None:
@@ -247,7 +211,8 @@ def _is_a(c: Cursor, asked: Asked) -> Node | None:
         return None  # a verb that the lexicon lacks
     start = c.at
     phrases = noun_phrases(c)
-    if not phrases or not all(p.named for p in phrases) or not asked.takes(phrases):
+    if not phrases or not all(p.named or p.nodes for p in phrases) or not asked.takes(phrases):
         c.at = start
         return None
+    asked.one &= not any(p.plural for p in phrases)  # "what are the fastest chairs"
     return either([p.node for p in phrases])

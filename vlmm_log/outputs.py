@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -37,10 +37,36 @@ def replacing(*paths: Path, force: bool) -> Iterator[list[Path]]:
         raise InputError(f"{paths[0]}: cannot be written: {e.strerror or e}; nothing was replaced") from e
 
 
+def claim(paths: Iterable[Path], *, force: bool, inputs: Iterable[Path] = ()) -> None:
+    """Refuse before a long run what could not be written after it.
+
+    Raises InputError where a name is a folder, taken (without ``force``), an input, named twice, or in a place that
+    takes no file.
+    """
+    read = {path.resolve() for path in inputs}
+    taken: set[Path] = set()
+    for path in paths:
+        partial = path.with_name(path.name + ".partial")
+        try:
+            for name in (path, partial):
+                _check_free(name, force)
+            where = {path.resolve(), partial.resolve()}
+            there = next(parent for parent in path.resolve().parents if parent.exists())
+        except OSError as e:
+            raise InputError(f"{path}: cannot be written: {e.strerror or e}; name another file") from e
+        if where & read:
+            raise InputError(f"{path}: is the input; name another file")
+        if where & taken:
+            raise InputError(f"{path}: is named for two outputs; name two files")
+        if not there.is_dir() or not os.access(there, os.W_OK):
+            raise InputError(f"{path}: cannot be written: no files can be made in {there}")
+        taken |= where
+
+
 def _check_free(path: Path, force: bool) -> None:
     if "\0" in str(path):
         raise InputError(f"{path!s}: is no name of a file")
     if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file")
+        raise InputError(f"{path}: is a folder; name a file, for example {path / 'out'}")
     if path.exists() and not force:
         raise InputError(f"{path}: exists; give --force to replace it")

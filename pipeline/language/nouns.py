@@ -2,53 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
-from vlmm_log.pipeline.query_cursor import Cursor
-from vlmm_log.pipeline.query_measures import both, either, negated, number_here
-from vlmm_log.pipeline.query_words import is_plural, looks_like_participle, singular
+from vlmm_log.pipeline.language.asked import Phrase
+from vlmm_log.pipeline.language.cursor import Cursor
+from vlmm_log.pipeline.language.measures import in_time, number_here, present
+from vlmm_log.pipeline.language.words import is_plural, looks_like_participle, singular
 from vlmm_log.queries import Order
-from vlmm_log.query_tree import Class, Movable, Moved, Named, Node
+from vlmm_log.query_tree import Class, Movable, Moved, Named, Node, both, either, negated
 
 MOST_ASKED = 10**6
-
-
-@dataclass
-class Asked:
-    """What a text asks for beside its filter, as far as it was read."""
-
-    order: Order | None = None
-    limit: int | None = None
-    returns: str = "objects"
-    one: bool = True  # a superlative of a singular asks for one
-
-    def takes(self, phrases: list[Phrase]) -> bool:
-        """Take over what noun phrases ask for; False, with nothing taken, where that is asked for already."""
-        own = [p.asked for p in phrases if p.asked != Asked()]
-        orders, limits = [a.order for a in own if a.order], [a.limit for a in own if a.limit]
-        if len(orders) + (self.order is not None) > 1 or len(limits) + (self.limit is not None) > 1:
-            return False
-        self.order, self.limit = self.order or next(iter(orders), None), self.limit or next(iter(limits), None)
-        if any(a.returns == "mask" for a in own) and self.returns == "objects":
-            self.returns = "mask"
-        return True
-
-
-@dataclass
-class Phrase:
-    """A noun phrase: its modifiers and its name."""
-
-    nodes: list[Node] = field(default_factory=list)
-    asked: Asked = field(default_factory=Asked)
-    named: bool = False
-    thing: str | None = None  # a word like "object": its value in the lexicon
-    plural: bool = False
-    determined: bool = False
-
-    @property
-    def node(self) -> Node:
-        """The filter."""
-        return both(*self.nodes)
 
 
 def noun_phrase(c: Cursor) -> Phrase | None:
@@ -187,8 +148,9 @@ def _modifiers(c: Cursor, phrase: Phrase) -> bool:
 
 
 def _modifier(c: Cursor) -> Node | None:
-    start = c.at
+    start, span = c.at, present(c)
     negate = c.value("neg") == "not" and c.take() is not None
+    span = span or present(c)
     if c.value("verb") in ("ing", "past"):
         c.take()
         node: Node | None = Moved()
@@ -197,7 +159,8 @@ def _modifier(c: Cursor) -> Node | None:
     if node is None:
         c.at = start
         return None
-    return negated(node) if negate else node
+    node = negated(node) if negate else node
+    return in_time(node, span) if span else node
 
 
 def described(c: Cursor) -> Node | None:
@@ -212,7 +175,7 @@ def described(c: Cursor) -> Node | None:
 
 def noun_ahead(c: Cursor, ahead: int) -> bool:
     """Whether a noun comes so far ahead, behind any modifiers."""
-    while c.has("verb", "still", "movable", "dynamic", "superlative", "adverb", "number", ahead=ahead):
+    while c.has("verb", "still", "movable", "dynamic", "superlative", "adverb", "present", "number", ahead=ahead):
         if c.value("verb", ahead) in ("base", "third"):
             return False
         ahead += 1
@@ -265,7 +228,7 @@ def _belongs_to_name(c: Cursor, phrase: Phrase, words: list[str]) -> bool:
         acts = bool(words or phrase.thing not in (None, "wh"))
         return not (acts and c.has("aux", "modal", "verb", "neg", ahead=1))
     if c.has("opener"):
-        return c.at > 0 and " " not in token.text
+        return c.at > 0 and " " not in token.text and not c.has("unknown")
     if c.value("camera") == "noun":
         return True
     form = c.value("verb")

@@ -7,9 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from vlmm_log.elements import Elements
-from vlmm_log.pipeline.query_explain import explain
-from vlmm_log.pipeline.query_scene import Scene, values
-from vlmm_log.pipeline.query_truth import Truth, distances, judge
+from vlmm_log.pipeline.language.explain import explain
+from vlmm_log.pipeline.language.judge import distances, judge
+from vlmm_log.pipeline.language.scene import Scene, values
+from vlmm_log.pipeline.language.truth import Truth
 from vlmm_log.queries import Answer, Order, Query, View
 from vlmm_log.query_tree import Compare, Named, Near, Node, Side, walk
 from vlmm_log.settings import MapSettings, QuerySettings
@@ -31,14 +32,14 @@ def answer(
     """The elements that a query asks for (paper, eq. "query"), extended by the tree.
 
     ``features`` gives the (m, D) unit features of texts, ``theta_s`` is their embedder's threshold, used where
-    ``s.threshold`` is -1. Answers are ranked by the query's order, else by how well the filter holds (see ``judge``);
+    ``s.threshold`` is auto. Answers are ranked by the query's order, else by how well the filter holds (see ``judge``);
     ties by id. Raises InputError where texts and map have features of different widths.
     """
     texts = sorted({n.text for root in _roots(query) for n, _ in walk(root) if isinstance(n, Named)})
     scene = Scene(
         elements,
         _similarities(texts, elements, features),
-        theta_s if s.threshold == -1 else s.threshold,
+        theta_s if isinstance(s.threshold, str) else s.threshold,
         s.near_m,
         map_settings,
         view.T_world_cam,

@@ -1,7 +1,7 @@
 """The paper's parser: a keyword intent router, exactly as printed (section "Query interface").
 
 No negation, no composition: a wording outside the three sets is a purely semantic query, and it is not told. That is
-the paper's own limit and profile ``paper`` keeps it; pipeline/query_parser.py says what it leaves out.
+the paper's own limit and profile ``paper`` keeps it; pipeline/language/parser.py says what it leaves out.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlmm_log.elements import Elements
-from vlmm_log.pipeline.query_space import UP
+from vlmm_log.pipeline.language.space import UP
 from vlmm_log.settings import MapSettings
 from vlmm_log.types import Float32, Float64, Int64
 

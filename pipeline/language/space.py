@@ -74,6 +74,16 @@ def direction(relation: str, T_world_cam: Float64 | None, up: str, of_camera: bo
     return np.asarray({"left": -right, "right": right, "front": ahead, "behind": -ahead}[relation], np.float64)
 
 
+def half_width(extents: Float32, way: Float64) -> Float32:
+    """(n,) m, from the middle to the edge along a direction of boxes with these covariances; 0 where unknown.
+
+    A thing is on my right when all of it is.
+    """
+    x, y, z = way
+    weights = np.array([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z], np.float32)
+    return np.asarray(np.sqrt(np.maximum(np.nan_to_num(3 * extents @ weights), 0)), np.float32)
+
+
 def on_side(points: Float32, sizes: Float32, targets: Int64, rows: Int64, way: Float64) -> Int64:
     """(n,) row of a target on whose side each of the given rows lies, -1: of none.
 

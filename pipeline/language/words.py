@@ -55,6 +55,7 @@ class Lexicon:
     singulars: Mapping[str, str]
     invariant: frozenset[str]
     participles: frozenset[str]
+    est: frozenset[str]
 
 
 _FIRST = (
@@ -70,7 +71,7 @@ _FIRST = (
     "comparative",
     "op",
 )
-_NO_KIND = ("version", "verbs", "stay", "plurals", "invariant", "participles")
+_NO_KIND = ("version", "verbs", "stay", "plurals", "invariant", "participles", "est")
 
 
 @cache
@@ -90,6 +91,7 @@ def lexicon() -> Lexicon:
         table["plurals"],
         frozenset(table["invariant"]["words"]),
         frozenset(table["participles"]["words"]),
+        frozenset(table["est"]["words"]),
     )
 
 
@@ -153,6 +155,8 @@ def _longest(raw: list[tuple[str, str]], at: int) -> tuple[Token, int]:
         return Token(text[1:-1].strip(), kind), 1
     if kind in ("number", "clock"):
         return Token(text, kind, number=_number(text)), 1
+    if kind == "word" and len(text) > 4 and text.endswith("est") and text not in known.est:
+        return Token(text, "unknown", "unknown"), 1  # a superlative that the lexicon lacks
     return Token(text, kind), 1
 
 
@@ -180,7 +184,7 @@ def singular(word: str) -> str:
         return word
     if word.endswith("ies") and len(word) > 4:
         return word[:-3] + "y"
-    return word[:-2] if re.search(r"(sses|xes|ches|shes|oes|zes)$", word) else word[:-1]
+    return word[:-2] if re.search(r"(sses|xes|ches|shes|oes|zzes|\w{3}[^aeo]uses)$", word) else word[:-1]
 
 
 def is_plural(word: str) -> bool:

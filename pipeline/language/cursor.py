@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from vlmm_log.pipeline.query_words import END, Token, also
+from vlmm_log.pipeline.language.words import END, Token, also
 
 
 class Cursor:
@@ -13,6 +13,7 @@ class Cursor:
     def __init__(self, tokens: Sequence[Token]) -> None:
         self.tokens = tokens
         self.at = 0
+        self.behind_target = -1  # place behind the last target of a relation
         self.roles = [""] * len(tokens)  # "word" of a name, "structure", or "unparsed"
 
     def peek(self, ahead: int = 0) -> Token:
@@ -48,6 +49,16 @@ class Cursor:
         """Take all tokens of these kinds."""
         while self.has(*kinds):
             self.take()
+
+    def tell(self, start: int) -> None:
+        """All from ``start`` to here is not understood."""
+        self.roles[start : self.at] = ["unparsed"] * (self.at - start)
+
+    @property
+    def question(self) -> bool:
+        """Whether what was read asks "which", "what", "who" or "how many"."""
+        asks = ("wh", "person", "count")
+        return any(also(t, kind) in asks for t in self.tokens[: self.at] for kind in ("thing", "count"))
 
     @property
     def done(self) -> bool:

@@ -1,0 +1,1 @@
+"""Queries in words: from a text to the filter tree, and what the tree holds for."""
