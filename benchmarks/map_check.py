@@ -56,7 +56,6 @@ def main() -> None:
         people = [e for e in everything if "person" in e.evidence.votes]
         screens = [e for e in everything if e.label in ("tv", "laptop", "keyboard")]
         print(f"  ids that were ever called a person: {len(people)} (at most 2)")
-        print(f"  pairs in which the person's intervals lie: {sum(len(e.intervals) for e in people)} intervals")
         moving = sum(e.motion_class is MotionClass.MOVING for e in screens)
         print(f"  screens and keyboards: {len(screens)}, of them moving: {moving} (0)")
     door = mapped(MOVING_PAIRS / "opening_door", "keyframes.gap=1", f"read.intrinsics={NOMINAL}")

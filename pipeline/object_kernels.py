@@ -82,7 +82,7 @@ def gather(
     """Sort scores, and a sample of the depths with their pixels, by instance, and sum the residuals.
 
     ends (n, 2): where each instance's depths and scores start; then where they end. lattice (n, 2): every how many
-    pixels a depth is taken, and by how much that shifts from row to row.
+    pixels, a power of two, less one, a depth is taken, and by how much that shifts from row to row.
 
     sums (n, 10): pixels above tau; unit residuals of those (3), of all scored (3); residuals of those above (3).
     """
@@ -94,7 +94,7 @@ def gather(
             if k < 0:
                 continue
             z, d = depth[v, u], d_m[v, u]
-            if z == z and (u + v * lattice[k, 1]) % lattice[k, 0] == 0:
+            if z == z and (u + v * lattice[k, 1]) & lattice[k, 0] == 0:
                 depths[at[k, 0]] = z
                 pixels[at[k, 0]] = v * labels.shape[1] + u
                 at[k, 0] += 1
@@ -229,13 +229,11 @@ def shapes(
 
 
 @jit
-def carried_overlap(
-    before: Int32, flow: Float32, share: np.float32, labels: Int32, landed: Int32, areas: Int32, both: Int32
-) -> None:
+def carried_overlap(before: Int32, flow: Float32, share: np.float32, labels: Int32, areas: Int32, both: Int32) -> None:
     """Carry an earlier frame's masks by a share of its flow onto a frame's own masks.
 
-    before (H, W): 0 none, i + 1 for mask i. landed (H, W): 0, then the last mask to land on a pixel. areas (m,): pixels
-    that each covers; both (m, n): those of them on each of the n instances of ``labels``.
+    before (H, W): 0 none, i + 1 for mask i. areas (m,): pixels of each that stay in view; both (m, n): those of them
+    that land on each of the n instances of ``labels``, several on one pixel where a mask shrinks.
     """
     areas[:] = 0
     both[:] = 0
@@ -249,9 +247,6 @@ def carried_overlap(
             y = np.int64(np.rint(f32(v) + share * flow[v, u, 1]))
             if x < 0 or y < 0 or x >= W or y >= H:
                 continue
-            if landed[y, x] == i + 1:  # a mask that shrinks lands several times on a pixel
-                continue
-            landed[y, x] = i + 1
             areas[i] += 1
             k = labels[y, x] - 1
             if k >= 0:

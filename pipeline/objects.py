@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,12 +52,12 @@ def _starts(counts: NDArray[np.int32]) -> NDArray[np.int64]:
 
 
 def _lattice(count: int) -> tuple[int, int]:
-    """Every how many pixels a depth is taken, and its shift from row to row: spread evenly whatever a mask's width."""
-    every = max(count // ok.SAMPLE, 1)
-    shift = max(round(0.618 * every), 1)
-    while math.gcd(shift, every) > 1:
-        shift += 1
-    return every, shift
+    """For ``gather``: SAMPLE depths or up to twice as many, spread evenly whatever a mask's width.
+
+    The shift is odd, so that it meets every column, and near the golden ratio.
+    """
+    every = 1 << max((count // ok.SAMPLE).bit_length() - 1, 0)
+    return every - 1, round(0.618 * every) | 1
 
 
 def _quantile(values: Float32, runs: Runs, share: float) -> Float32:

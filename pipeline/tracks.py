@@ -121,10 +121,10 @@ def _overlaps(
         return iou, there
     areas = np.empty(carried.ids.size, np.int32)
     both = np.empty((carried.ids.size, len(segments)), np.int32)
-    landed = np.zeros(segments.labels.shape, np.int32)
-    ok.carried_overlap(carried.labels, carried.flow, f32(share), segments.labels, landed, areas, both)
-    union = areas[:, None] + sightings.rows["pixels"][None, :] - both
-    ratio = np.minimum(both / np.maximum(union, 1), 1.0)  # a pixel can be landed on by turns
+    ok.carried_overlap(carried.labels, carried.flow, f32(share), segments.labels, areas, both)
+    own = sightings.rows["pixels"][None, :]
+    shared = np.minimum(both, own)  # a mask that shrinks lands several times on a pixel
+    ratio = shared / np.maximum(areas[:, None] + own - shared, 1)
     place = {element: row for row, element in enumerate(known)}
     for i, element in enumerate(carried.ids.tolist()):
         if element in place:

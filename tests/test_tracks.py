@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from vlmm_log.elements import OBSERVATION, Sightings
-from vlmm_log.pipeline.object_kernels import carried_overlap
-from vlmm_log.pipeline.tracks import Tracks, associate, remember
+from vlmm_log.pipeline.tracks import Carried, Tracks, _overlaps, associate, remember
 from vlmm_log.settings import TrackSettings
 from vlmm_log.types import Features, FlowField, Frame, FramePair, Segments
 
@@ -145,15 +144,14 @@ def test_what_was_never_lost_outranks_what_is_found_again():
 
 
 def test_a_mask_that_shrinks_does_not_outweigh_the_rest():
-    before = np.zeros((H, W), np.int32)
-    before[10:50, 10:50] = 1
+    """Sixteen pixels land on each: their number is no overlap."""
     v, u = np.mgrid[0:H, 0:W]
     flow = np.stack([(25 + (u - 10) // 4) - u, (25 + (v - 10) // 4) - v], axis=-1).astype(np.float32)
-    after = np.zeros((H, W), np.int32)
-    after[25:35, 25:35] = 1
-    areas, both, landed = np.empty(1, np.int32), np.empty((1, 1), np.int32), np.zeros((H, W), np.int32)
-    carried_overlap(before, flow, np.float32(1), after, landed, areas, both)
-    assert (areas[0], both[0, 0]) == (100, 100)
+    before, _ = scene([(10, 10, 40, 40)])
+    carried = Carried(before.segments.labels, np.array([1]), flow, 0, STEP_NS)
+    after, _ = scene([(25, 25, 10, 10)])
+    overlap, known = _overlaps(after, carried, [1], STEP_NS)
+    assert known.all() and 0 < overlap[0, 0] <= 1
 
 
 def test_an_element_is_forgotten_on_time_even_in_the_next_pair():

@@ -182,7 +182,7 @@ class MapSettings:
     voxel_m: float = knob(0.05, "voxel of the background cloud, m", low=1e-3)
     o_unit: float = knob(2.027, "o is divided by it: 2.027 is that of a calibrated still element", low=1e-6)
     tau_o: float = knob(1.5, "moving: o above it", low=0)
-    kappa_o: float = knob(0.3, "and kappa at least this", low=0, high=1)
+    kappa_o: float = knob(0.35, "and kappa at least this", low=0, high=1)
     rho_tau: float = knob(0.55, "else movable: movability prior at least this", low=0, high=1)
     part: float = knob(
         0.1,
