@@ -59,7 +59,7 @@ def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings) -> El
         confidence,
         float(chdtrc(3, median**2)),
         float(kappas @ sigmas) / s.o_unit / weight if weight else 0.0,
-        _speed(seen[moved & _within(seen, intervals)]),
+        _speed(seen[moved & _within(seen, intervals)]) if intervals.size else 0.0,
         intervals,
     )
 
@@ -84,9 +84,7 @@ def _medians(seen: Observations) -> Float32:
 
 
 def _speed(moved: Observations) -> float:
-    """Median m/s of the observations that moved."""
-    if not moved.size:
-        return 0.0
+    """Median m/s of observations that moved."""
     seconds = (moved["second_ns"] - moved["first_ns"]) / 1e9
     length = np.linalg.norm(moved["drift"].astype(np.float64), axis=1)
     return float(np.median(length / np.maximum(seconds, 1e-9)))

@@ -12,8 +12,10 @@ from vlmm_log.types import Float32, Float64, Int32, Int64
 f32 = np.float32
 FENCE = f32(1.5)  # Tukey's: depths this many interquartile ranges beyond the quartiles are not the instance's
 SLACK_M = f32(0.02)
-SAMPLE = 1024  # depths of an instance, or up to twice as many, tell its place and size
-BINS = 256  # of the histogram that a quantile is looked up in
+SAMPLE = 512  # depths of an instance, or up to twice as many, tell its place and size
+THIN = 2  # every second row tells how much masks overlap
+BINS = 256  # of the histogram that a quantile is looked up in: d_M and metres up to 16, what is more in the last one
+A_UNIT, TOP = f32(BINS / 16), f32(15.99)
 TILE = 16  # px, side of the patches in which a moving part must show
 
 
@@ -118,30 +120,25 @@ def gather(
 
 
 @jit
-def _bin(x: Any, low: Any, scale: Any) -> Any:
-    return np.int64((x - low) * scale) if scale > f32(0) else np.int64(0)
+def _bin(x: Any) -> Any:
+    return np.int32(min(x, TOP) * A_UNIT)
 
 
 @jit
 def quantiles(values: Float32, starts: Int64, ends: Int64, share: np.float32, out: Float32) -> None:
     """The quantile of each run ``values[starts[k]:ends[k]]``, linear between neighbours; NaN of an empty one.
 
-    A histogram finds the bin that holds it, so that only a few values need sorting out.
+    Values are not negative. A histogram finds the bin that holds it, so that only a few need sorting out.
     """
-    counts, few = np.empty(BINS, np.int64), np.empty(values.size, np.float32)
+    counts, few = np.empty(BINS, np.int32), np.empty(values.size, np.float32)
     for k in range(starts.size):
         run = values[starts[k] : ends[k]]
         if run.size == 0:
             out[k] = np.nan
             continue
-        low, high = run[0], run[0]
-        for x in run:
-            low, high = min(low, x), max(high, x)
-        span = high - low
-        scale = f32(BINS - 1) / span if f32(1e-30) < span < f32(1e30) else f32(0)  # else all in one bin
         counts[:] = 0
         for x in run:
-            counts[_bin(x, low, scale)] += 1
+            counts[_bin(x)] += 1
         place = np.float64(share) * np.float64(run.size - 1)
         rank = np.int64(np.floor(place))
         chosen = 0
@@ -149,14 +146,10 @@ def quantiles(values: Float32, starts: Int64, ends: Int64, share: np.float32, ou
             rank -= counts[chosen]
             chosen += 1
         n = 0
-        following = np.inf  # the smallest value of the bins above
         for x in run:
-            at = _bin(x, low, scale)
-            if at == chosen:
+            if _bin(x) == chosen:
                 few[n] = x
                 n += 1
-            elif at > chosen and x < following:
-                following = x
         a, b = 0, n - 1
         while a < b:  # Hoare's selection
             pivot = few[(a + b) // 2]
@@ -178,8 +171,13 @@ def quantiles(values: Float32, starts: Int64, ends: Int64, share: np.float32, ou
                 break
         here, rest = few[rank], f32(place - np.floor(place))
         if rest > f32(0):
+            following = np.inf
             for i in range(rank + 1, n):
                 following = min(following, few[i])
+            if rank + 1 == n:  # it lies in a higher bin
+                for x in run:
+                    if _bin(x) > chosen and x < following:
+                        following = x
             here += rest * (f32(following) - here)
         out[k] = here
 
@@ -238,7 +236,7 @@ def carried_overlap(before: Int32, flow: Float32, share: np.float32, labels: Int
     areas[:] = 0
     both[:] = 0
     H, W = labels.shape
-    for v in range(H):
+    for v in range(0, H, THIN):
         for u in range(W):
             i = before[v, u] - 1
             if i < 0:
@@ -247,7 +245,7 @@ def carried_overlap(before: Int32, flow: Float32, share: np.float32, labels: Int
             y = np.int64(np.rint(f32(v) + share * flow[v, u, 1]))
             if x < 0 or y < 0 or x >= W or y >= H:
                 continue
-            areas[i] += 1
+            areas[i] += THIN
             k = labels[y, x] - 1
             if k >= 0:
-                both[i, k] += 1
+                both[i, k] += THIN

@@ -27,10 +27,12 @@ GROWTH = 1.25  # the background cloud is logged again once it has grown by this 
 LARGEST_ID = 65535  # that a mask image holds; element ids beyond it come round again
 
 
-STATE_LOOKS = rr.StateConfiguration(
-    values=["static", "movable_static", "moving", "still", "moves", "unseen"],
-    colors=[*CLASS_COLORS.values(), (90, 90, 90), (213, 94, 0), (40, 40, 40)],
-)
+STATE_COLORS = {  # fused class, and what an element does at present
+    **{kind.name.lower(): color for kind, color in CLASS_COLORS.items()},
+    "still": (90, 90, 90),
+    "moves": CLASS_COLORS[MotionClass.MOVING],
+    "unseen": (40, 40, 40),
+}
 
 
 class MapLog:
@@ -42,6 +44,7 @@ class MapLog:
         self._world: WorldMap | None = None
         self._names: dict[int, str] = {}  # of the masks' classes
         self._states: dict[int, tuple[str, str]] = {}
+        self._labels: dict[int, str] = {}  # that the lanes bear
         self._in_view: set[int] = set()  # elements of the last pair
         self._asked: set[str] = set()  # paths of queries
         self._priors: set[str] = set()  # what was told of labels
@@ -135,8 +138,9 @@ class MapLog:
         latest = element.evidence.observations[-1]
         moves = element.intervals.size > 0 and bool(element.intervals[-1, 1] >= latest["second_ns"])
         state = (element.motion_class.name.lower(), "moves" if moves else "still")
-        if element.id not in self._states:
-            self._rec.log(path, STATE_LOOKS, static=True)
+        if self._labels.get(element.id) != element.label:
+            self._labels[element.id] = element.label
+            self._rec.log(path, _state_looks(element.label), static=True)
         if self._states.get(element.id) != state:
             self._states[element.id] = state
             self._rec.log(path, rr.StateChange(state=list(state)))
@@ -169,6 +173,12 @@ class MapLog:
         cloud = result.background
         self._points = len(cloud.cells)
         self._rec.log(f"{MAP}/points", rr.Points3D(cloud.points, colors=cloud.colors, radii=cloud.voxel_m / 2))
+
+
+def _state_looks(label: str) -> rr.StateConfiguration:
+    """Colours of the states; the class's lane tells what the element is, too."""
+    told = [f"{label}: {name}" if label and name not in ("still", "moves", "unseen") else name for name in STATE_COLORS]
+    return rr.StateConfiguration(values=list(STATE_COLORS), labels=told, colors=list(STATE_COLORS.values()))
 
 
 def slug(text: str) -> str:
