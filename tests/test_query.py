@@ -181,6 +181,8 @@ def test_relations(text, expected):
         ("things seen before 4 s", EVERY - {3}),
         ("moving things near the table after 5 s", {4}),
         ("what moved at 1500 ms", {1, 4}),
+        ("things that moved before 0.6 s or after 6.5 s", {4, 5}),
+        ("things that did not move before 1.5 s or between 3 s and 4 s", EVERY - {1, 4, 5}),
         ("what moved for more than 1.5 s", {4, 5}),
         ("things that moved at least twice", {5}),
     ],
@@ -196,7 +198,8 @@ def test_time(text, expected):
         ("rho >= 0.8", {1, 3, 4, 7}),
         ("objects seen more than 25 times", {2, 4, 8}),
         ("things faster than 0.5 m/s", {4, 5}),
-        ("things slower than 50 cm/s", EVERY - {4, 5, 10}),  # unknown is not slow
+        ("things slower than 50 cm/s", {1}),  # what stood still has no speed
+        ("things not faster than 0.5 m/s", EVERY - {4, 5, 10}),  # of 10 it is unknown
         ("things bigger than 2 m", {5, 8}),
         ("at most 3 observations", {9, 10}),
     ],
@@ -220,13 +223,54 @@ def test_the_three_intents_of_the_paper():
 def test_a_reason_tells_the_values_that_decided():
     (reason,) = asked("the door that opens").reasons
     assert (
-        reason == "named 'door' 1.00, motion_class moving (o 3.10 > 1.5, kappa 0.62 >= 0.3), moved 3.0-4.0 s, 6.0-7.0 s"
+        reason == f"named 'door' 1.00, motion_class moving (o 3.10 > {S.map.tau_o:g}, "
+        f"kappa 0.62 >= {S.map.kappa_o:g}), moved 3.0-4.0 s, 6.0-7.0 s"
     )
     (reason,) = asked("things within 1.1 m of the door").reasons
     assert reason == "1.00 m from door 5"
     (reason,) = asked("the fastest thing").reasons
     assert reason.endswith("moved 0.5-9.5 s, speed 1.1")
     assert "rho 0.95 >= 0.55 (table: AI2-THOR)" in asked("movable mugs").reasons[0]
+    assert asked("mugs seen between 6 s and 6.1 s").reasons == ("named 'mug' 1.00, first seen 5.0 s, last seen 10.0 s",)
+
+
+def test_a_limit_within_a_tie_is_told():
+    tied = [(i, "mug", (1, 0, 0), 1, 0.9 if i < 5 else 0.2, STATIC, 1, 1, 1, 1, 1, []) for i in range(1, 8)]
+    mugs = known_map(tied)
+    one = asked("the thing most likely to move", elements=mugs)
+    assert one.ids.tolist() == [1]
+    assert one.explanation.endswith("4 tie at rho 0.9, 1 of them told, the lowest ids")
+    assert "7 tie at score 1, 3 of them told" in asked("3 mugs", elements=mugs).explanation
+    assert "7 tie at score 1, 2 of them told" in asked("mugs", elements=mugs, limit=2).explanation
+    assert " tie at " not in asked("top 4 most movable things", elements=mugs).explanation
+    assert "3 tie at rho 0.2, 2 of them told" in asked("top 6 most movable things", elements=mugs).explanation
+
+
+def test_a_place_by_what_is_not_there_is_told():
+    for text in ("things not near the wardrobe", "left of the wardrobe", "the thing nearest to the wardrobe"):
+        assert "nothing is named 'wardrobe'" in asked(text).explanation
+    assert "nothing is" not in asked("things not near the door").explanation
+    assert "nothing is named 'wall' and moved" in asked("things near a wall that moved").explanation
+
+
+def test_what_stood_still_has_no_speed():
+    rows = [
+        (1, "mug", (1, 0, 0), 1, 1, STATIC, 1, 1, 1, 0.9, 1, []),  # noise
+        (2, "mug", (1, 0, 0), 1, 1, STATIC, 1, 1, 1, 0.3, 1, [(1, 2)]),
+        (3, "mug", (1, 0, 0), 1, 1, MOVING, 1, 1, 1, 0.5, 1, []),
+    ]
+    mugs = known_map(rows)
+    for text, expected in (
+        ("mugs faster than 0.1 m/s", {2, 3}),
+        ("mugs slower than 2 m/s", {2, 3}),
+        ("mugs not faster than 0.4 m/s", {1, 2}),
+        ("mugs not slower than 0.4 m/s", {3}),
+        ("speed at least 0 m/s", {2, 3}),
+    ):
+        assert found(text, elements=mugs) == expected, text
+    ranked = asked("mugs ranked by speed", elements=mugs)
+    assert (ranked.ids.tolist(), "1 left out, no speed known" in ranked.explanation) == ([3, 2], True)
+    assert ids(Query(AllOf(), Order("speed", "least")), elements=mugs) == [2, 3]
 
 
 CHAIRS = [(i, label, (i, 0, 0), 1, rho, STATIC, 1, 1, 1, 1, 1, []) for i, label, rho in RANKED]

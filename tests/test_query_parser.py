@@ -26,6 +26,7 @@ from vlmm_log.query_tree import (
     Not,
     Seen,
     Side,
+    both,
     walk,
 )
 from vlmm_log.types import InputError
@@ -158,6 +159,49 @@ MEANINGS = [
     ("things moving near the door after 3 s", AllOf((Moved(3, None), Near(DOOR)))),
     ("moved before 3 s or moved after 10 s", AnyOf((Moved(0, 3), Moved(10, None)))),
     ("chairs seen after 3 s", AllOf((CHAIR, Seen(3, None)))),
+    *[
+        (f"{noun} {first} or {second}", both(*named, AnyOf((Moved(*a), Moved(*b)))))
+        for noun, named in (("things that moved", ()), ("cups that moved", (CUP,)))
+        for first, a, second, b in (
+            ("before 1 s", (0, 1), "after 3.5 s", (3.5, None)),
+            ("before 1 s", (0, 1), "between 3 s and 4 s", (3, 4)),
+            ("in the first 2 seconds", (0, 2), "after 3.5 s", (3.5, None)),
+        )
+    ],
+    ("things that did not move before 1 s or after 3 s", Not(AnyOf((Moved(0, 1), Moved(3, None))))),
+    ("before 1 s or after 3 s, what moved?", AnyOf((Moved(0, 1), Moved(3, None)))),
+    ("cups seen before 1 s or after 3 s", AllOf((CUP, AnyOf((Seen(0, 1), Seen(3, None)))))),
+    ("people who walked or sat down after 3 s", AllOf((PERSON, Moved(3, None)))),
+    ("chairs that moved but are static now", AllOf((CHAIR, Moved(), Class("static"), Seen(-1, None)))),
+    # what is seen to be so is so
+    *[
+        (f"things {seen}", node)
+        for seen, node in (
+            ("seen to move", Moved()),
+            ("observed to have moved", Moved()),
+            ("seen to have been moved", Moved()),
+            ("seen moving", Moved()),
+            ("that can be seen moving", Moved()),
+            ("seen moving after 3 s", Moved(3, None)),
+            ("never seen moving", STILL),
+            ("not seen to move", STILL),
+            ("seen not to move", STILL),
+            ("never seen standing still", Not(Class("static"))),
+            ("never seen near the door", Not(Near(DOOR))),
+        )
+    ],
+    # what stands before a list
+    *[
+        (text, AnyOf((AllOf((Moved(), CUP)), AllOf((Moved(), CHAIR)))))
+        for text in ("the fastest cup or chair", "fastest cups and chairs", "moving cups and chairs")
+    ],
+    ("the moving cup or the chair", AnyOf((AllOf((Moved(), CUP)), CHAIR))),
+    ("neither moving cups nor tables", Not(AnyOf((AllOf((Moved(), CUP)), AllOf((Moved(), TABLE)))))),
+    ("static but movable things", AllOf((Class("static"), Movable()))),
+    ("things that moved, but not cups", AllOf((Moved(), Not(CUP)))),
+    ("things neither near the door nor the table", Not(Near(AnyOf((DOOR, TABLE))))),
+    ("things near cups that moved", Near(AllOf((CUP, Moved())))),
+    ("things near the door but not chairs", AllOf((Near(DOOR), Not(CHAIR)))),
     ("chairs near the door until 3 s", AllOf((CHAIR, Near(DOOR), Seen(0, 3)))),
     # comparisons
     ("rho above 0.8", Compare("rho", ">", 0.8)),
@@ -206,6 +250,11 @@ def test_meaning(text, expected):
         ("which person is closest to me", Order("distance_m", "least"), 1),
         ("which chair is closest to me", Order("distance_m", "least"), 1),
         ("what moves fastest", Order("speed"), 1),
+        ("the fastest cup or book", Order("speed"), 1),
+        ("the largest cup or book", Order("size_m"), 1),
+        ("what moved the most before 1 s or after 3 s", Order("score"), 1),
+        ("the 3 fastest cups or books", Order("speed"), 3),
+        ("things ranked by distance to the door", Order("distance_m", "least", DOOR), None),
         ("things ranked by kappa ascending", Order("kappa", "least"), None),
         ("5 chairs", None, 5),
     ],
@@ -271,6 +320,34 @@ def test_what_is_returned(text, returns):
         ("chairs without wheels", ("without wheels",)),
         ("the tallest person", ("the tallest person",)),
         ("moving # %", ("# %",)),
+        ("things that moved before 1 s and after 3 s", ("and after 3 s",)),
+        ("things that moved before 1 s or not after 3 s", ("or not after 3 s",)),
+        ("things that moved before 1 s or after 3 s stood still", ("or after 3 s",)),
+        ("things that moved twice between 1 s and 4 s", ("moved twice between 1 s and 4 s",)),
+        ("what did the person move", ("did",)),
+        ("what was the person moving", ("was the person",)),
+        ("all but one cup", ("all but one cup",)),
+        ("everything but the 2 largest books", ("everything but the 2 largest books",)),
+        ("all cups but the largest", ("but the largest",)),
+        ("cups that are not the largest", ("are not the largest",)),
+        ("no 3 cups", ("no 3 cups",)),
+        ("things that are the fastest or near the door", ("are the fastest or near the door",)),
+        ("the fastest cup and the door", ("the fastest cup and the door",)),
+        ("cups and the fastest book", ("cups and the fastest book",)),
+        ("the largest cup and book", ("the largest cup and book",)),
+        ("two cups and three books", ("two cups and three books",)),
+        ("the first 3 things that moved", ("first 3 things",)),
+        ("nearest of the cups", ("of",)),
+        ("cups, but only the ones that moved", ("only the ones",)),
+        ("!chair", ("! chair",)),
+        ("chairs. moving", (".",)),
+        ("which is faster, the cup or the person", ("is faster",)),
+        ("things that moved together", ("together",)),
+        ("cups near every chair", ("near every chair",)),
+        ("cups near the door but not the table", ("but not the table",)),
+        ("cups near the door, not the table", (", not the table",)),
+        ("things not near the door and the table", ("not near the door and the table",)),
+        ("things that may not have moved", ("have",)),
     ],
 )
 def test_what_cannot_be_parsed_is_told(text, left_out):
@@ -391,7 +468,8 @@ def test_singular(plural, expected):
         ("things that never move except chairs", "objects: not moved and not named 'chair'"),
         (
             "the 3 fastest chairs or doors near the table after 3 s",
-            "objects: moved from 3 s to the end and named 'chair' or named 'door' and near named 'table'",
+            "objects: moved from 3 s to the end and named 'chair' or moved from 3 s to the end and named 'door' "
+            "and near named 'table'; ranked by speed, highest first; at most 3",
         ),
         ("how many things on my left hum", "count: left of the camera; NOT UNDERSTOOD: 'hum'"),
         ("the chair nearest the door", "objects: named 'chair'; ranked by distance_m to named 'door', lowest first"),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NoReturn
 
@@ -167,13 +167,13 @@ def walk(root: Node) -> Iterator[tuple[Node, int]]:
                 pass
 
 
-def within(node: Node, span: Span) -> Node:
-    """The tree with its motions bound to a time span; where it speaks of none, seen in that span."""
-    bound = _bound(node, Moved(*span))
-    return bound if bound != node else both(node, Seen(*span))
+def within(node: Node, spans: Sequence[Span]) -> Node:
+    """The tree with its motions bound to any of the time spans; where it speaks of none, seen in any of them."""
+    bound = _bound(node, either([Moved(*span) for span in spans]))
+    return bound if bound != node else both(node, either([Seen(*span) for span in spans]))
 
 
-def _bound(node: Node, moved: Moved) -> Node:
+def _bound(node: Node, moved: Node) -> Node:
     match node:
         case Moved(None, None):
             return moved
@@ -196,7 +196,7 @@ def both(*nodes: Node) -> Node:
     return unique[0] if len(unique) == 1 else AllOf(unique)
 
 
-def either(nodes: list[Node]) -> Node:
+def either(nodes: Sequence[Node]) -> Node:
     """Any of them."""
     unique = tuple(dict.fromkeys(nodes))
     return unique[0] if len(unique) == 1 else AnyOf(unique)

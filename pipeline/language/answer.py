@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from vlmm_log.elements import Elements
-from vlmm_log.pipeline.language.explain import explain
+from vlmm_log.pipeline.language.explain import explain, in_words
 from vlmm_log.pipeline.language.judge import distances, judge
 from vlmm_log.pipeline.language.scene import Scene, values
 from vlmm_log.pipeline.language.truth import Truth
@@ -50,8 +50,12 @@ def answer(
     scores, why_score = _scores(query.order, truth, scene)
     matching = np.flatnonzero(truth.yes)
     rows = matching[np.isfinite(scores[matching])]
-    notes = [*_notes(query, scene), *_left_out(query.order, matching.size - rows.size)]
     kept = _best(rows, scores, query.order, elements.ids, min(query.limit or s.limit, s.limit))
+    notes = [
+        *_notes(query, scene),
+        *_left_out(query.order, matching.size - rows.size),
+        *_ties(query.order, scores[rows], scores[kept]),
+    ]
     return Answer(
         query.text,
         "; ".join([explain(query), *notes]),
@@ -103,6 +107,8 @@ def _scores(order: Order | None, truth: Truth, scene: Scene) -> tuple[Float32, C
         distance, name = distances(targets, scene, np.flatnonzero(truth.yes))
         return distance, lambda row: f"{distance[row]:.2f} m from {name(row)}"
     column = values(scene, order.field)
+    if order.field == "speed":
+        column = np.where(scene.has_moved, column, np.float32(np.nan))
     return np.asarray(column, np.float32), lambda row: f"{order.field} {column[row]:.4g}"
 
 
@@ -113,6 +119,13 @@ def _best(rows: Int64, scores: Float32, order: Order | None, ids: Int64, limit: 
         some = key <= np.partition(key, limit - 1)[limit - 1]
         rows, key = rows[some], key[some]
     return rows[np.lexsort((ids[rows], key))[:limit]]
+
+
+def _ties(order: Order | None, scores: Float32, kept: Float32) -> list[str]:
+    """That the last of the answers is no better than some that the limit left out."""
+    tied, told = (int(np.count_nonzero(s == kept[-1])) if kept.size else 0 for s in (scores, kept))
+    by = order.field if order else "score"
+    return [f"{tied} tie at {by} {kept[-1]:.4g}, {told} of them told, the lowest ids"] if tied > told else []
 
 
 def _left_out(order: Order | None, count: int) -> list[str]:
@@ -126,6 +139,12 @@ def _notes(query: Query, scene: Scene) -> list[str]:
         f"no feature for {text!r}: the embedder does not know it"
         for text, similarity in scene.similarity.items()
         if similarity.size and np.isnan(similarity).all()
+    ]
+    targets = [n.target for n in nodes if isinstance(n, Near | Side)] + [query.order.target if query.order else None]
+    notes += [
+        f"nothing is {in_words(target)}, so nothing can be judged by where that is"
+        for target in dict.fromkeys(targets)
+        if target is not None and not judge(target, scene).yes.any()
     ]
     if scene.T_world_cam is None and (any(map(_needs_camera, nodes)) or _by_camera(query.order)):
         notes.append("no camera pose known: what is left, right, in front, behind or how far from it is undecided")

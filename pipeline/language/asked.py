@@ -39,6 +39,7 @@ class Phrase:
     thing: str | None = None  # a word like "object": its value in the lexicon
     plural: bool = False
     determined: bool = False
+    joint: str = ""  # what joins it to the phrase before
 
     @property
     def node(self) -> Node:

@@ -11,7 +11,7 @@ from vlmm_log.pipeline.language.measures import (
     after_motion,
     comparison,
     in_time,
-    time_span,
+    time_spans,
 )
 from vlmm_log.pipeline.language.nouns import (
     described,
@@ -23,29 +23,56 @@ from vlmm_log.pipeline.language.nouns import (
 from vlmm_log.pipeline.language.places import place, ranked_to
 from vlmm_log.pipeline.language.words import looks_like_participle
 from vlmm_log.queries import Order
-from vlmm_log.query_tree import AllOf, Class, Movable, Moved, Node, Seen, both, either, negated, walk
+from vlmm_log.query_tree import (
+    AllOf,
+    Class,
+    Compare,
+    Movable,
+    Moved,
+    Near,
+    Node,
+    Seen,
+    Side,
+    Span,
+    both,
+    either,
+    negated,
+    walk,
+)
 
 DEEPEST = 3  # clauses of targets within each other
 
 
 def predicates(c: Cursor, asked: Asked, carried: Lead) -> Node | None:
     """Predicates joined by "and", which binds closer, and "or"."""
+    begin, before = c.at, replace(asked)
+    groups = _groups(c, asked, carried)
+    if len(groups) > 1 and asked.order != before.order:
+        c.tell(begin)  # "that are the fastest or near the door": an order is of all answers
+        asked.order, asked.limit = before.order, before.limit
+    return either([both(*group) for group in groups]) if groups else None
+
+
+def _groups(c: Cursor, asked: Asked, carried: Lead) -> list[list[Node]]:
+    """Predicates joined by "and", in groups joined by "or"."""
     first = predicate(c, asked, carried)
     if first is None:
-        return None
+        return []
     node, head = first
     groups: list[list[Node]] = [[node]]
     while True:
         start = c.at
         if _of_either(c, head):
             c.take("unparsed")
-            return either([both(*group) for group in groups])
+            return groups
         joint = joined(c)
         following = None if joint is None or starts_phrase(c) else predicate(c, asked, replace(head, agent=""))
         if following is None:
             c.at = start
-            return either([both(*group) for group in groups])
+            return groups
         node, own = following
+        if isinstance(node, Moved) and not own.finite and groups[-1][-1] == Moved():
+            groups[-1][-1] = node  # "walked or sat down after 3 s": both then
         if joint == "nor" or (joint == "or" and head.negate and not own.finite and not own.negate):
             groups[-1].append(negated(node))  # "not moving or rolling": neither
         elif joint == "or":
@@ -57,17 +84,32 @@ def predicates(c: Cursor, asked: Asked, carried: Lead) -> Node | None:
 
 def predicate(c: Cursor, asked: Asked, carried: Lead) -> tuple[Node, Lead] | None:
     """One predicate and what stood before it; None, with nothing taken, where there is none."""
-    start = c.at
+    start, before = c.at, replace(asked)
     head = lead(c, carried)
     node = None if start == c.behind_target and _of_target_too(c, head) else _heart(c, asked, head)
     if node is None:
         c.at = start
         return None
-    span = head.span
-    if span is None and any(isinstance(n, Moved | Seen) for n, _ in walk(node)):
-        span = time_span(c)
+    spans: tuple[Span, ...] = (head.span,) if head.span else ()
+    if not spans and (c.has("present") or any(isinstance(n, Moved | Seen) for n, _ in walk(node))):
+        spans = time_spans(c)
+    unclear = head.negate and (asked.order != before.order or _of_several(node))
+    if unclear or (spans and _counts_motions(node)):
+        c.tell(start)  # "not the largest", "not near the door and the table"; how often in that time is not known
+        asked.order, asked.limit = before.order, before.limit
+        return AllOf(), replace(head, negate=False)
     node = negated(node) if head.negate else node
-    return (in_time(node, span) if span else node), head
+    return (in_time(node, spans) if spans else node), head
+
+
+def _counts_motions(node: Node) -> bool:
+    return any(isinstance(n, Compare) and n.field in ("motions", "moved_s") for n, _ in walk(node))
+
+
+def _of_several(node: Node) -> bool:
+    """Whether it is a relation to each of several targets."""
+    related = node.nodes if isinstance(node, AllOf) else ()
+    return len({n.target for n in related if isinstance(n, Near | Side)}) > 1
 
 
 def _of_either(c: Cursor, head: Lead) -> bool:
@@ -174,7 +216,8 @@ def _ranked(c: Cursor, asked: Asked) -> Node | None:
     start = c.at
     if c.accept("ranked") and c.has("field") and not asked.order:
         name = c.accept("field") or ""
-        asked.order, asked.one = Order(name, c.accept("descending") or "most"), False
+        usual = "least" if name == "distance_m" else "most"
+        asked.order, asked.one = Order(name, c.accept("descending") or usual), False
         return AllOf()
     c.at = start
     c.skip("det")
@@ -201,8 +244,7 @@ def _seen(c: Cursor) -> Node | None:
     """ "seen after 3 s"."""
     if not c.accept("seen"):
         return None
-    span = time_span(c)
-    return Seen(*span) if span else Seen()
+    return either([Seen(*span) for span in time_spans(c) or [(None, None)]])
 
 
 def _is_a(c: Cursor, asked: Asked) -> Node | None:
@@ -211,7 +253,10 @@ def _is_a(c: Cursor, asked: Asked) -> Node | None:
         return None  # a verb that the lexicon lacks
     start = c.at
     phrases = noun_phrases(c)
-    if not phrases or not all(p.named or p.nodes for p in phrases) or not asked.takes(phrases):
+    if not phrases or (phrases[-1].named and phrases[-1].determined and c.has("verb")):
+        c.at = start  # "what was the person moving"
+        return None
+    if not all(p.named or p.nodes for p in phrases) or not asked.takes(phrases):
         c.at = start
         return None
     asked.one &= not any(p.plural for p in phrases)  # "what are the fastest chairs"

@@ -14,6 +14,7 @@ class Cursor:
         self.tokens = tokens
         self.at = 0
         self.behind_target = -1  # place behind the last target of a relation
+        self.target_determined = False  # whether that is "the door" rather than "doors"
         self.roles = [""] * len(tokens)  # "word" of a name, "structure", or "unparsed"
 
     def peek(self, ahead: int = 0) -> Token:

@@ -17,7 +17,7 @@ SIDES = {
 
 def explain(query: Query) -> str:
     """What a query was taken to ask for, in one line, and the words of it that were not understood."""
-    parts = [f"{query.returns}: {_words(query.filter)}"]
+    parts = [f"{query.returns}: {in_words(query.filter)}"]
     if query.order:
         parts.append(f"ranked by {_order(query.order)}")
     if query.limit:
@@ -32,7 +32,8 @@ def _order(order: Order) -> str:
     return f"{order.field}{of}, {'highest' if order.direction == 'most' else 'lowest'} first"
 
 
-def _words(node: Node) -> str:
+def in_words(node: Node) -> str:
+    """A tree in words."""
     match node:
         case Named(text):
             return f"named {text!r}"
@@ -63,7 +64,7 @@ def _inner(node: Node | None) -> str:
     if node is None:
         return "the camera"
     several = isinstance(node, AllOf | AnyOf) and len(node.nodes) > 1
-    return f"({_words(node)})" if several else _words(node)
+    return f"({in_words(node)})" if several else in_words(node)
 
 
 def _span(t0_s: float | None, t1_s: float | None) -> str:

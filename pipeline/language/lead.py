@@ -40,6 +40,9 @@ def auxiliaries(c: Cursor, now: Lead) -> Lead:
     """Auxiliaries, modals, negations and adverbs; those of a question come before its subject."""
     while True:
         aux, neg, modal = c.value("aux"), c.value("neg"), c.value("modal")
+        if c.has("seen") and (doing := _seen_doing(c, now)):
+            now = doing
+            continue
         if aux is not None:
             own = aux != "part"
             ended = own and not now.finite
@@ -54,7 +57,24 @@ def auxiliaries(c: Cursor, now: Lead) -> Lead:
             continue
         elif not c.has("stop", "adverb"):
             return now
-        c.take()
+        # "may not have moved": whether it could, or whether it did
+        c.take("unparsed" if aux == "have" and now.can and now.negate else "structure")
+
+
+def _seen_doing(c: Cursor, now: Lead) -> Lead | None:
+    """ "seen to have moved", "seen moving", "never seen near the door" say what follows, no more; None elsewhere."""
+    start = c.at
+    c.take()
+    negate = now.negate != (c.accept("neg") is not None)
+    told = c.value("modal") == "to" and c.take() is not None
+    negate = negate != (told and c.accept("neg") is not None)
+    be = False
+    while told and (aux := c.accept("aux")):
+        be = aux == "part"
+    if c.has("verb", "stay", "still", "dynamic", "movable", "relation", "my_side"):
+        return replace(now, negate=negate, be=be, can=False, do=False)
+    c.at = start
+    return None
 
 
 def _agent_here(c: Cursor) -> str:

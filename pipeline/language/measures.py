@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from vlmm_log.pipeline.language.cursor import Cursor
@@ -51,14 +52,30 @@ def number_here(c: Cursor) -> float:
     return float(named) if named else c.peek().number if named is not None else math.nan
 
 
-def time_span(c: Cursor) -> Span | None:
-    """Seconds from "between 10 s and 12 s", "after 3 s", "in the first 2 seconds", "now"; None where there are none."""
+def time_spans(c: Cursor) -> tuple[Span, ...]:
+    """Seconds from "between 10 s and 12 s", "in the first 2 seconds or after 5 s", "now"; () where there are none.
+
+    Times joined by "and" may mean in each or in either of them, and what is said behind the last may be of it alone:
+    that is told.
+    """
     start = c.at
     c.skip("stop")
     span = present(c) or _span(c, c.accept("time"))
     if span is None:
         c.at = start
-    return span
+        return ()
+    spans = [span]
+    while (at := c.at) and (joint := c.accept("conj")):
+        denied = c.accept("neg") is not None
+        other = _span(c, c.accept("time")) if c.has("time") else None
+        if other is None:
+            c.at = at
+            break
+        if joint == "or" and not denied and (c.done or c.has("stop", "conj", "relation")):
+            spans.append(other)
+        else:
+            c.tell(at)
+    return tuple(spans)
 
 
 def present(c: Cursor) -> Span | None:
@@ -72,10 +89,10 @@ def present(c: Cursor) -> Span | None:
     return NOW if value == "now" else JUST
 
 
-def in_time(node: Node, span: Span) -> Node:
-    """The tree in a time span, see ``within``; what is not so now must have been seen now."""
+def in_time(node: Node, spans: Sequence[Span]) -> Node:
+    """The tree in any of the time spans, see ``within``; what is not so now must have been seen now."""
     denies = any(isinstance(n, Not) for n, _ in walk(node))
-    return both(within(node, span), Seen(*span)) if denies and span == NOW else within(node, span)
+    return both(within(node, spans), Seen(*NOW)) if denies and NOW in spans else within(node, spans)
 
 
 def _span(c: Cursor, word: str | None) -> Span | None:

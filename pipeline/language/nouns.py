@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from vlmm_log.pipeline.language.asked import Phrase
+from dataclasses import replace
+
+from vlmm_log.pipeline.language.asked import Asked, Phrase
 from vlmm_log.pipeline.language.cursor import Cursor
 from vlmm_log.pipeline.language.measures import in_time, number_here, present
 from vlmm_log.pipeline.language.words import is_plural, looks_like_participle, singular
@@ -29,6 +31,7 @@ def noun_phrase(c: Cursor) -> Phrase | None:
 
 def noun_phrases(c: Cursor) -> list[Phrase]:
     """Noun phrases joined by "and", "or" and commas."""
+    begin = c.at
     phrases = [phrase] if (phrase := noun_phrase(c)) else []
     while phrases:
         start = c.at
@@ -37,8 +40,25 @@ def noun_phrases(c: Cursor) -> list[Phrase]:
         if following is None:
             c.at = start
             break
+        following.joint = joint or ""
         phrases.append(following)
-    return phrases
+    return _shared(c, begin, phrases)
+
+
+def _shared(c: Cursor, start: int, phrases: list[Phrase]) -> list[Phrase]:
+    """The list with what stands before its first noun said of bare nouns behind it too: "the fastest cup or book".
+
+    Told where an order or a number is of one of several nouns alone, or of each: "the fastest cup and the door".
+    """
+    first, *rest = phrases or [Phrase()]
+    bare = [p for p in rest if not p.determined and p.thing is None and len(p.nodes) == 1]
+    asks = [p for p in phrases if p.asked.order or p.asked.limit]
+    of_each = first.determined and not all(p.plural for p in phrases) and any(p.joint == "and" for p in rest)
+    if rest and asks and (asks != [first] or len(bare) < len(rest) or of_each):
+        c.tell(start)
+        return [replace(p, asked=Asked()) for p in phrases]
+    before = [n for n in first.nodes if not isinstance(n, Named)] if first.named and len(bare) == len(rest) else []
+    return [first, *(replace(p, nodes=[*before, *p.nodes]) for p in rest)] if phrases else []
 
 
 def joined(c: Cursor) -> str | None:
@@ -132,14 +152,14 @@ def _modifiers(c: Cursor, phrase: Phrase) -> bool:
     """ "moving", "not moving", "moving or static" before a noun."""
     start, node = c.at, _modifier(c)
     joint = c.value("conj") if node else None
-    while node and joint in ("and", "or"):
+    while node and joint in ("and", "or", "but"):
         before = c.at
         c.take()
         other = _modifier(c)
         if other is None:
             c.at = before
             break
-        node, joint = both(node, other) if joint == "and" else either([node, other]), c.value("conj")
+        node, joint = both(node, other) if joint != "or" else either([node, other]), c.value("conj")
     if node is None or not noun_ahead(c, 0):
         c.at = start
         return False
@@ -149,7 +169,7 @@ def _modifiers(c: Cursor, phrase: Phrase) -> bool:
 
 def _modifier(c: Cursor) -> Node | None:
     start, span = c.at, present(c)
-    negate = c.value("neg") == "not" and c.take() is not None
+    negate = c.value("neg") == "not" and c.peek().text != "neither" and c.take() is not None
     span = span or present(c)
     if c.value("verb") in ("ing", "past"):
         c.take()
@@ -160,7 +180,7 @@ def _modifier(c: Cursor) -> Node | None:
         c.at = start
         return None
     node = negated(node) if negate else node
-    return in_time(node, span) if span else node
+    return in_time(node, [span]) if span else node
 
 
 def described(c: Cursor) -> Node | None:

@@ -6,12 +6,13 @@ A word that the lexicon lacks is never structure. Only words that add no conditi
 "please", "in the room", "actually", "around" behind a verb; what else the lexicon knows and no rule takes is told.
 
 What is decided here: nouns joined by "and" are a union, clauses an intersection, and "and" binds closer than "or"; a
-clause behind a list of nouns speaks of all of them. A clause with "that", "who" or "which" behind the target of a
-relation speaks of the target, and "the door and the window" there are both targets; every other clause, relation and
-time speaks of the first noun. What may be either's ("cups on the table moving") is told. "Static", "fixed", "stays
-still" mean the fused class STATIC, a negated verb ("never moves") means not seen to move; with "can" or "could" any
-verb of motion asks for the movability prior. "Now" is the map's last second, "just" its last five. A superlative gives
-one answer for a singular and ranks all for a plural.
+clause behind a list of nouns speaks of all of them, and so does what stands before the first where the others are bare
+("the fastest cup or book"). Times joined by "or" are a union; joined by "and" they are told. A clause with "that",
+"who" or "which" behind the target of a relation speaks of the target, and "the door and the window" there are both
+targets; every other clause, relation and time speaks of the first noun. What may be either's ("cups on the table
+moving") is told. "Static", "fixed", "stays still" mean the fused class STATIC, a negated verb ("never moves") means not
+seen to move; with "can" or "could" any verb of motion asks for the movability prior. "Now" is the map's last second,
+"just" its last five. A superlative gives one answer for a singular and ranks all for a plural.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from vlmm_log.pipeline.language.asked import Asked, Phrase
 from vlmm_log.pipeline.language.clauses import own_clause, predicates
 from vlmm_log.pipeline.language.cursor import Cursor
 from vlmm_log.pipeline.language.lead import NOTHING, Lead, auxiliaries
-from vlmm_log.pipeline.language.measures import in_time, time_span
+from vlmm_log.pipeline.language.measures import in_time, time_spans
 from vlmm_log.pipeline.language.nouns import joined, noun_phrases, starts_phrase, without_last_word
 from vlmm_log.pipeline.language.places import ranked_to
 from vlmm_log.pipeline.language.words import also, tokenise
@@ -42,13 +43,13 @@ def read(text: str) -> tuple[Query, Cursor]:
     if not c.tokens:
         refuse("the text is empty; say what to look for")
     _opening(c, asked)
-    span = time_span(c)
-    c.skip("conj") if span else None
+    spans = time_spans(c)
+    c.skip("conj") if spans else None
     _opening(c, asked)
     carried = auxiliaries(c, NOTHING) if c.has("aux", "modal") else NOTHING
     _opening(c, asked)
     node = _union(c, asked, carried, 0)
-    node = in_time(node, span) if span else node
+    node = in_time(node, spans) if spans else node
     if node == AllOf() and "word" not in c.roles and not (asked.order or asked.limit or _says(c, "thing")):
         c.roles = ["unparsed"] * len(c.roles)  # "please show me the": nothing was asked for
     return Query(node, asked.order, asked.limit, asked.returns, text, c.unparsed()), c
@@ -71,7 +72,11 @@ def _union(c: Cursor, asked: Asked, carried: Lead, depth: int) -> Node:
     while not c.done:
         start = c.at
         joined(c)
+        unclear = start == c.behind_target and c.has("neg") and (c.has("det", ahead=1) or not c.target_determined)
         more, takes_away = _group(c, asked, NOTHING, depth)
+        if more and takes_away and unclear:
+            c.tell(start)
+            continue
         if not more:  # "chairs and": joined with nothing
             c.roles[start] = "structure" if c.tokens[start].value == "comma" else "unparsed"
         nodes = [both(either(nodes), *more)] if takes_away and nodes else [*nodes, *more]
@@ -83,9 +88,9 @@ def _group(c: Cursor, asked: Asked, carried: Lead, depth: int) -> tuple[list[Nod
     takes_away = _negates_nouns(c)
     begin = c.at
     phrases = noun_phrases(c)
-    if not asked.takes(phrases):
+    if (takes_away and any(p.asked != Asked() for p in phrases)) or not asked.takes(phrases):
         c.at, phrases = begin, []
-        c.take("unparsed")  # a second superlative or number
+        c.take("unparsed")  # a second superlative or number, "not the largest"
     if not phrases:
         c.skip("det")
     nodes = [either([p.node for p in phrases])] if phrases else []
@@ -105,7 +110,7 @@ def _group(c: Cursor, asked: Asked, carried: Lead, depth: int) -> tuple[list[Nod
 
 
 def _plural(phrases: list[Phrase]) -> bool:
-    return len(phrases) > 1 or phrases[0].plural
+    return any(p.plural or p.joint not in ("", "or") for p in phrases)
 
 
 def _negates_nouns(c: Cursor) -> bool:
@@ -114,7 +119,8 @@ def _negates_nouns(c: Cursor) -> bool:
         c.take()
         return True
     start = c.at
-    if value == "no" or (value == "not" and not c.has("verb", "still", "movable", "dynamic", ahead=1)):
+    of_nouns = c.peek().text == "neither" or not c.has("verb", "still", "movable", "dynamic", ahead=1)
+    if value == "no" or (value == "not" and of_nouns):
         c.take()
         if starts_phrase(c):
             return True
@@ -127,16 +133,16 @@ def _told(c: Cursor, asked: Asked, carried: Lead, depth: int, nodes: list[Node])
     nodes = list(nodes)
     acted_on = not nodes and c.has("agent")  # "can I lift the chair"
     while not c.done:
-        found = _clause(c, asked, carried) or _exception(c, asked, depth)
-        span = None if found else time_span(c)
+        found = _clause(c, asked, carried) or _exception(c, depth)
+        spans = () if found else time_spans(c)
         if found:
             nodes.append(found)
             asks_on = c.at == c.behind_target and not carried.negate  # "can the chair near the door be moved"
             carried = carried if asks_on else NOTHING
             if acted_on and starts_phrase(c):
                 nodes += [either([p.node for p in noun_phrases(c)])]
-        elif span:
-            nodes = [in_time(both(*nodes), span)]
+        elif spans:
+            nodes = [in_time(both(*nodes), spans)]
         elif c.has("conj"):
             break
         elif not (c.accept("stop", "rel", "adverb") or ranked_to(c, asked, lambda: own_clause(c, asked, 1))):
@@ -157,18 +163,26 @@ def _clause(c: Cursor, asked: Asked, carried: Lead) -> Node | None:
     return negated(node) if carried.negate else node
 
 
-def _exception(c: Cursor, asked: Asked, depth: int) -> Node | None:
+def _exception(c: Cursor, depth: int) -> Node | None:
     """ "except the chairs that moved", "but not tables"."""
-    begins = c.has("except") or c.value("conj") == "but"
-    if not begins or depth >= DEEPEST:
-        return None
-    start = c.at
-    c.take()
-    c.accept("neg")
-    counted = c.has("number") or c.peek().kind == "number"  # "all but two chairs"
-    says = c.has("verb", "still", "movable", "dynamic", "relation", "my_side", "seen")
-    if counted or not (says or starts_phrase(c)):
+    start, behind = c.at, c.at == c.behind_target
+    if c.value("conj") == "comma" and c.has("except", ahead=1):
+        c.take()
+    denies, unclear = c.has("except"), behind and c.peek().text.startswith("but")
+    if not (denies or c.value("conj") == "but") or depth >= DEEPEST:
         c.at = start
         return None
-    nodes, _ = _group(c, asked, NOTHING, depth + 1)
+    c.take()
+    denies |= c.accept("neg") is not None  # "static but movable" takes nothing away
+    counted = c.has("number") or c.peek().kind == "number"  # "all but two chairs"
+    says = c.has("verb", "still", "movable", "dynamic", "relation", "my_side", "seen")
+    if counted or (says and not denies) or not (says or starts_phrase(c) or c.has("det")):
+        c.at = start
+        return None
+    unclear = unclear and not says and (c.has("det") or not c.target_determined)
+    own = Asked()
+    nodes, _ = _group(c, own, NOTHING, depth + 1)
+    if unclear or own != Asked(one=own.one):  # "all but the largest": an order is of what is left
+        c.tell(start)
+        return AllOf()
     return negated(nodes[0]) if nodes else None

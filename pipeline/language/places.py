@@ -90,15 +90,16 @@ def targets(c: Cursor, clause: Clause) -> list[Node | None]:
             c.at = at  # a list that goes on: "chairs near the door, tables"
             break
         anew = comma or following.determined < first.determined or joints - {joint}
-        either_camera = joint == "or" and None in (first.node, following.node)
+        either_camera = joint in ("or", "nor") and None in (first.node, following.node)
         if anew or either_camera or following.asks:
             c.tell(at)
         else:
             found.append(following)
             joints.add(joint)
         at = c.at
+    c.target_determined = first.determined
     nodes = [each.node for each in found]
-    return [either([node for node in nodes if node is not None])] if joints == {"or"} else nodes
+    return [either([node for node in nodes if node is not None])] if joints and joints <= {"or", "nor"} else nodes
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,7 @@ class Target:
 
 def _target(c: Cursor, clause: Clause) -> Target | None:
     start = c.at
+    every = c.value("det") == "every"  # "near every chair"
     c.skip("det")
     if c.has("camera"):
         c.take()
@@ -124,7 +126,7 @@ def _target(c: Cursor, clause: Clause) -> Target | None:
     if own is None and not phrase.nodes:
         c.at = start
         return None
-    return Target(both(*phrase.nodes, *([own] if own else [])), phrase.determined, phrase.asked != Asked())
+    return Target(both(*phrase.nodes, *([own] if own else [])), phrase.determined, every or phrase.asked != Asked())
 
 
 def ranked_to(c: Cursor, asked: Asked, clause: Clause) -> bool:
@@ -132,8 +134,9 @@ def ranked_to(c: Cursor, asked: Asked, clause: Clause) -> bool:
     if not asked.order or asked.order.field != "distance_m" or asked.order.target:
         return False
     start = c.at
+    of_those = c.has("of")  # "the nearest of the cups"
     c.skip("from_")
-    found = targets(c, clause)
+    found = [] if of_those else targets(c, clause)
     if len(found) != 1 or c.at == start:
         c.at = start
         return False

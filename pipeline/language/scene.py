@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.elements import Elements
+from vlmm_log.elements import Elements, MotionClass
 from vlmm_log.pipeline.language.space import UP
 from vlmm_log.settings import MapSettings
 from vlmm_log.types import Float32, Float64, Int64
@@ -42,6 +42,13 @@ class Scene:
         order = np.argsort(self.elements.interval_rows, kind="stable")
         return order, self.elements.interval_rows[order].astype(np.int64)
 
+    @cached_property
+    def has_moved(self) -> NDArray[np.bool_]:
+        """(n,) whether an element ever moved: has a motion interval or the class MOVING."""
+        found: NDArray[np.bool_] = self.elements.motion_class == MotionClass.MOVING
+        found[self.elements.interval_rows] = True
+        return found
+
     def name(self, row: int) -> str:
         """What to call an element in a reason."""
         return f"{self.elements.labels[row] or 'element'} {self.elements.ids[row]}"
@@ -51,6 +58,8 @@ def values(scene: Scene, field: str) -> Column:
     """A field of query_tree.FIELDS (n,); NaN where unknown."""
     e = scene.elements
     match field:
+        case "speed":  # what stood still has none, whatever its noise
+            return np.asarray(np.where(scene.has_moved, e.speed, 0 * e.speed), np.float32)
         case "motions":
             return np.bincount(e.interval_rows, minlength=len(e)).astype(np.int32)
         case "moved_s":

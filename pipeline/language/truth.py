@@ -73,7 +73,6 @@ def moved(node: Moved, scene: Scene) -> Truth:
     yes = np.zeros(len(e), bool)
     yes[e.interval_rows[within]] = True
     ever = node.t0_s is None and node.t1_s is None
-    moving = e.motion_class == MotionClass.MOVING
     order, rows = scene.interval_order
 
     def why(row: int) -> str:
@@ -85,7 +84,7 @@ def moved(node: Moved, scene: Scene) -> Truth:
 
     with np.errstate(invalid="ignore"):
         strength = e.score / (e.score + max(scene.fusion.tau_o, 1e-6))
-    return graded(yes | moving if ever else yes, np.ones_like(yes), strength, why)
+    return graded(scene.has_moved if ever else yes, np.ones_like(yes), strength, why)
 
 
 def seen(node: Seen, scene: Scene) -> Truth:
@@ -96,7 +95,7 @@ def seen(node: Seen, scene: Scene) -> Truth:
 
     def why(row: int) -> str:
         first, last = (e.first_ns[row] - scene.origin_ns) / 1e9, (e.last_ns[row] - scene.origin_ns) / 1e9
-        return f"seen {first:.1f}-{last:.1f} s"
+        return f"first seen {first:.1f} s, last seen {last:.1f} s"
 
     return crisp(yes, np.ones_like(yes), why)
 
@@ -115,12 +114,18 @@ def movable(scene: Scene) -> Truth:
 
 
 def compare(node: Compare, scene: Scene) -> Truth:
-    """Whose field's value compares so with a number; unknown where the field is."""
+    """Whose field's value compares so with a number; unknown where the field is.
+
+    What stood still is not faster than any speed, and whether it is slower than one is unknown: it has none.
+    """
     column = values(scene, node.field)
     with np.errstate(over="ignore"):  # a number too large for the column's type is infinite
         limit = np.float32(node.value) if column.dtype == np.float32 else np.float64(node.value)
     yes = _holds(node.op, column, limit)
-    return crisp(yes, ~np.isnan(column), lambda row: f"{node.field} {column[row]:.4g}")
+    known = ~np.isnan(column)
+    if node.field == "speed":
+        known &= scene.has_moved | ~yes
+    return crisp(yes, known, lambda row: f"{node.field} {column[row]:.4g}")
 
 
 def _holds(op: str, column: Column, limit: np.floating[Any]) -> Bools:

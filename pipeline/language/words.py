@@ -133,6 +133,7 @@ def tokenise(text: str) -> list[Token]:
     lowered = text.lower().replace("\u2019", "'").replace("\u201c", '"').replace("\u201d", '"')
     for pattern, plain in _CONTRACTIONS:
         lowered = re.sub(pattern, plain, lowered)
+    lowered = re.sub(r"[\s?!.]+$", "", lowered)
     raw = [(m.lastgroup or "", m[0]) for m in _PATTERN.finditer(lowered)]
     tokens, at = [], 0
     while at < len(raw):
