@@ -58,7 +58,7 @@ def built(pairs):
     return world
 
 
-def same(a, b):
+def assert_same(a, b):
     assert a.evidence.keys() == b.evidence.keys()
     for i in a.evidence:
         x, y = a.evidence[i], b.evidence[i]
@@ -81,22 +81,22 @@ def pairs_of(seed, count):
 def test_the_map_does_not_depend_on_the_order_of_pairs(seed, random):
     pairs = pairs_of(seed, 8)
     shuffled = random.sample(pairs, len(pairs))
-    same(built(pairs), built(shuffled))
+    assert_same(built(pairs), built(shuffled))
 
 
 @given(st.integers(0, 2**32), st.integers(0, 8))
 def test_two_halves_with_the_same_identities_make_the_whole(seed, cut):
     pairs = pairs_of(seed, 8)
     a, b = built(pairs[:cut]), built(pairs[cut:])
-    same(fuse(wm.merge(a, b), prior, S), built(pairs))
+    assert_same(fuse(wm.merge(a, b), prior, S), built(pairs))
 
 
 def test_merging_is_associative_and_commutative():
     parts = [built(p) for p in (pairs_of(1, 9)[:3], pairs_of(1, 9)[3:5], pairs_of(1, 9)[5:])]
     whole = built(pairs_of(1, 9))
     for x, y, z in permutations(parts):
-        same(fuse(wm.merge(fuse(wm.merge(x, y), prior, S), z), prior, S), whole)
-        same(fuse(wm.merge(x, fuse(wm.merge(y, z), prior, S)), prior, S), whole)
+        assert_same(fuse(wm.merge(fuse(wm.merge(x, y), prior, S), z), prior, S), whole)
+        assert_same(fuse(wm.merge(x, fuse(wm.merge(y, z), prior, S)), prior, S), whole)
 
 
 def test_an_older_map_does_not_change_when_two_grow_from_it():
@@ -109,8 +109,8 @@ def test_an_older_map_does_not_change_when_two_grow_from_it():
     for seen, background in pairs[9:]:
         right = fuse(wm.update(right, seen, background), prior, S)
     assert before == {i: e.observations.tobytes() for i, e in old.evidence.items()}
-    same(left, built(pairs[:9]))
-    same(right, built(pairs[:6] + pairs[9:]))
+    assert_same(left, built(pairs[:9]))
+    assert_same(right, built(pairs[:6] + pairs[9:]))
 
 
 def test_observation_lists_grow_without_copies_of_all_before():

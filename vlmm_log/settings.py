@@ -1,32 +1,20 @@
 """Every knob of a run: frozen, one dataclass a concern, from a profile, a TOML file and ``--set a.b=v``.
 
-Profile ``paper`` does what the paper prints, ``default`` what measured better. A name that does not exist
-is an error that says the nearest one that does.
+Profile ``paper`` does what the paper prints, ``default`` what measured better.
 """
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
 
+from vlmm_log.knobs import is_table, knob, nested, parse_set, read_toml, with_values, written
 from vlmm_log.types import InputError
 
-T = TypeVar("T")
-S = TypeVar("S")
-LARGE = 1e12
-EITHER: Mapping[str, tuple[type, ...]] = {"keyframes.gap": (int, str), "query.threshold": (float, str)}
 NO_OPTIONS: Mapping[str, object] = {}
-
-
-def knob(default: T, doc: str, *, low: float | None = None, high: float = LARGE, of: tuple[str, ...] = ()) -> T:
-    """A setting: its default, meaning with unit, range (both ends allowed) or choices."""
-    field_: T = field(default=default, metadata={"doc": doc, "low": low, "high": high, "of": of})
-    return field_
 
 
 @dataclass(frozen=True)
@@ -52,7 +40,7 @@ class KeyframeSettings:
     """Which frames are compared."""
 
     stride: int = knob(1, "every n-th frame starts a pair", low=1)
-    gap: int | str = knob(3, "distance of a pair: frames (3) or seconds ('0.1s')", low=1)
+    gap: int | str = knob(3, "distance of a pair: frames (3) or seconds ('0.1s')", low=1, kinds=(int, str))
 
 
 @dataclass(frozen=True)
@@ -201,6 +189,7 @@ class QuerySettings:
     threshold: float | str = knob(
         "auto",
         "theta_s, cosine from which a text names an element (0.4); auto: the embedder's",
+        kinds=(float, str),
         low=0,
         high=1,
         of=("auto",),
@@ -260,9 +249,9 @@ class Settings:
 
         Raises InputError for a name that does not exist, a value of the wrong type or out of range.
         """
-        tables = [] if toml is None else [(str(toml), _read_toml(toml))]
-        tables += [(f"--set {text}", _parse_set(text)) for text in sets]
-        tables += [("option", _nested(name, value)) for name, value in options.items()]
+        tables = [] if toml is None else [(str(toml), read_toml(toml))]
+        tables += [(f"--set {text}", parse_set(text)) for text in sets]
+        tables += [("option", nested(name, value)) for name, value in options.items()]
         for where, table in tables:
             named = table.get("profile")
             if isinstance(named, str) and named != (profile or named):
@@ -273,7 +262,7 @@ class Settings:
             raise InputError(f"profile {profile!r}: no such profile; there are {', '.join(PROFILES)}")
         settings = PROFILES[profile]
         for where, table in tables:
-            settings = _changed(settings, table, where, "")
+            settings = with_values(settings, table, where)
         return settings
 
     @staticmethod
@@ -286,23 +275,23 @@ class Settings:
         profile = table.get("profile", "default")
         if profile not in PROFILES:
             raise InputError(f"{where}: profile {profile!r}: no such profile; there are {', '.join(PROFILES)}")
-        return _changed(PROFILES[profile], table, where, "")
+        return with_values(PROFILES[profile], table, where)
 
     def changed(self, sets: Iterable[str]) -> Settings:
         """These settings with ``a.b=v`` texts applied. Raises InputError as ``load`` does."""
         settings = self
         for text in sets:
-            settings = _changed(settings, _parse_set(text), f"--set {text}", "")
+            settings = with_values(settings, parse_set(text), f"--set {text}")
         return settings
 
     def to_toml(self) -> str:
         """All settings as TOML that ``load`` takes back."""
-        tops = [f"{f.name} = {_toml(getattr(self, f.name))}" for f in fields(self) if not _is_table(self, f.name)]
+        tops = [f"{f.name} = {written(getattr(self, f.name))}" for f in fields(self) if not is_table(self, f.name)]
         blocks = ["\n".join(tops)]
         for f in fields(self):
-            if _is_table(self, f.name):
+            if is_table(self, f.name):
                 table = getattr(self, f.name)
-                rows = [f"{g.name} = {_toml(getattr(table, g.name))}" for g in fields(table)]
+                rows = [f"{g.name} = {written(getattr(table, g.name))}" for g in fields(table)]
                 blocks.append("\n".join([f"[{f.name}]", *rows]))
         return "\n\n".join(blocks) + "\n"
 
@@ -328,84 +317,3 @@ PROFILES = {
         query=QuerySettings(parser="paper"),
     ),
 }
-
-
-def _is_table(settings: object, name: str) -> bool:
-    return hasattr(getattr(settings, name), "__dataclass_fields__")
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-        return '"' + "".join(c if c >= " " and c != "\x7f" else f"\\u{ord(c):04x}" for c in escaped) + '"'
-    return repr(value)
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text("utf-8"))
-    except OSError as e:
-        raise InputError(f"{path}: cannot read the settings: {e.strerror or e}") from e
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-        raise InputError(f"{path}: not a TOML file: {e}") from e
-
-
-def _parse_set(text: str) -> dict[str, Any]:
-    name, equals, value = text.partition("=")
-    if not equals or not name.strip():
-        raise InputError(f"--set {text}: write it as table.name=value, for example --set keyframes.gap=6")
-    keys = name.strip().split(".")
-    if len(keys) > 2 or "\n" in text:
-        raise InputError(f"--set {text[:60]}: one setting each, as in keyframes.gap=6")
-    try:
-        parsed: Any = tomllib.loads(f"v = {value}")["v"]
-    except tomllib.TOMLDecodeError:
-        parsed = value.strip()  # a bare word is a text
-    except (ValueError, RecursionError) as e:
-        raise InputError(f"--set {text[:60]}: the value is too long or too deep") from e
-    return _nested(name.strip(), parsed)
-
-
-def _nested(name: str, value: Any) -> dict[str, Any]:
-    for key in reversed(name.split(".")):
-        value = {key: value}
-    return dict(value)
-
-
-def _changed(settings: S, table: Mapping[str, Any], where: str, prefix: str) -> S:
-    known = {f.name: f for f in fields(settings)}  # type: ignore[arg-type]
-    values: dict[str, Any] = {}
-    for name, value in table.items():
-        if name not in known:
-            raise InputError(f"{where}: no setting {prefix}{name}{_nearest(name, known, prefix)}")
-        current = getattr(settings, name)
-        if _is_table(settings, name):
-            if not isinstance(value, dict):
-                raise InputError(f"{where}: {prefix}{name} is a table; set one of its names, as in {name}.NAME=value")
-            values[name] = _changed(current, value, where, f"{prefix}{name}.")
-        else:
-            values[name] = _checked(value, current, known[name].metadata, f"{where}: {prefix}{name}")
-    return replace(settings, **values)  # type: ignore[type-var]
-
-
-def _nearest(name: str, known: Mapping[str, object], prefix: str) -> str:
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"; nearest is {prefix}{close[0]}" if close else f"; there are {', '.join(known)}"
-
-
-def _checked(value: Any, current: object, meta: Mapping[str, Any], where: str) -> object:
-    kinds = EITHER.get(where.rpartition(" ")[2], (type(current),))
-    if float in kinds and type(value) is int:
-        value = float(value) if abs(value) < LARGE else math.inf
-    if type(value) not in kinds:
-        raise InputError(f"{where}: {value!r} is not {' or '.join(k.__name__ for k in kinds)}")
-    if meta["of"] and isinstance(value, str) and value not in meta["of"]:
-        raise InputError(f"{where}: {value!r} is not one of {', '.join(meta['of'])}")
-    if isinstance(value, int | float):
-        low, high = meta["low"], meta["high"]
-        if value != value or (low is not None and value < low) or value > high:
-            span = f"at least {low} and finite" if high >= LARGE else f"between {low} and {high}"
-            raise InputError(f"{where}: {value} is out of range; it must be {span}")
-    return value
