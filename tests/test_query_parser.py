@@ -509,3 +509,19 @@ def test_the_papers_router_routes_the_papers_queries():
     for expected in SECTIONS["canonical"]:
         query = router.PARSERS["paper"](expected["text"])
         assert (router.intent(query), router.noun(query)) == (expected["intent"], expected["noun"])
+
+
+@pytest.mark.parametrize(
+    ("text", "explained"),
+    [
+        ("things near the person that are not chairs", "near named 'person' and not named 'chair'"),
+        ("things near the person that is not moving", "near (named 'person' and not moved)"),
+        ("cups near the people who are moving", "named 'cup' and near (named 'person' and moved)"),
+        ("cups near the door that have moved", "named 'cup' and near named 'door' and moved"),
+        ("the cup near the tables that is moving", "named 'cup' and near named 'table' and moved"),
+    ],
+)
+def test_a_clause_belongs_to_the_noun_that_its_verb_agrees_with(text, explained):
+    query = parse(text)
+    assert not query.unparsed
+    assert explain(query).startswith(f"objects: {explained}")

@@ -9,8 +9,11 @@ from vlmm_log.pipeline.language.asked import Asked
 from vlmm_log.pipeline.language.cursor import Cursor
 from vlmm_log.pipeline.language.measures import operator, quantity
 from vlmm_log.pipeline.language.nouns import joined, noun_phrase, starts_phrase
+from vlmm_log.pipeline.language.words import is_plural
 from vlmm_log.query_tree import Near, Node, Not, Side, both, either
 
+SINGULAR_VERBS = ("is", "isn't", "was", "wasn't", "has", "hasn't", "does", "doesn't")
+PLURAL_VERBS = ("are", "aren't", "were", "weren't", "have", "haven't", "do", "don't")
 Clause = Callable[[], Node | None]
 
 
@@ -122,11 +125,17 @@ def _target(c: Cursor, clause: Clause) -> Target | None:
     phrase = noun_phrase(c)
     if phrase is None:
         return None
-    own = clause() if not phrase.nodes or c.has("rel") else None  # "near something that moved"
+    own = clause() if not phrase.nodes or (c.has("rel") and _agrees(c)) else None  # "near something that moved"
     if own is None and not phrase.nodes:
         c.at = start
         return None
     return Target(both(*phrase.nodes, *([own] if own else [])), phrase.determined, every or phrase.asked != Asked())
+
+
+def _agrees(c: Cursor) -> bool:
+    """Whether a relative clause may be the target's by number: "things near the person that are ..." speaks of things."""
+    verb, noun = c.peek(1).text, c.peek(-1).text
+    return verb not in (SINGULAR_VERBS if is_plural(noun) else PLURAL_VERBS)
 
 
 def ranked_to(c: Cursor, asked: Asked, clause: Clause) -> bool:
