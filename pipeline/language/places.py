@@ -133,7 +133,7 @@ def _target(c: Cursor, clause: Clause) -> Target | None:
 
 
 def _agrees(c: Cursor) -> bool:
-    """Whether a relative clause may be the target's by number: "things near the person that are ..." speaks of things."""
+    """Whether a relative clause may be the target's by number; "things near the person that are" speaks of things."""
     verb, noun = c.peek(1).text, c.peek(-1).text
     return verb not in (SINGULAR_VERBS if is_plural(noun) else PLURAL_VERBS)
 
