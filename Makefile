@@ -14,7 +14,7 @@ demo: $(VENV)/.ready  ## render a small sequence, process it, say how to look at
 	$(PY) examples/render_room.py demo/room
 	$(VENV)/bin/vlmm-log process demo/room --segmenter masks:demo/room/masks --query "things that moved" \
 		--rrd demo/room.rrd --map demo/room.json --force
-	$(VENV)/bin/vlmm-log query demo/room.json "things I could move that have not moved"
+	$(VENV)/bin/vlmm-log query demo/room.json "which thing moved the fastest"
 	@echo "look at it: $(VENV)/bin/rerun demo/room.rrd"
 
 test: $(VENV)/.ready  ## all tests
