@@ -115,13 +115,12 @@ class MapLog:
         classes = (result.ids - 1) % LARGEST_ID + 1
         lookup = np.concatenate([[0], classes]).astype(np.uint16)
         names = {int(c): f"{i} {name}".strip() for c, i, name in zip(classes, result.ids, segments.names, strict=True)}
-        image = rr.SegmentationImage(lookup[segments.labels])
+        self._rec.log(f"{IMAGE}/instances", rr.SegmentationImage(lookup[segments.labels]))
         if names.items() <= self._names.items():
-            self._rec.log(f"{IMAGE}/instances", image)
             return
         self._names |= names
         context = [(0, "", CLEAR), *((c, name, id_color(c)) for c, name in sorted(self._names.items()))]
-        self._rec.log(f"{IMAGE}/instances", image, rr.AnnotationContext(context))
+        self._rec.log(f"{IMAGE}/instances", rr.AnnotationContext(context), static=True)
 
     def _boxes(self, result: Tracked) -> None:
         boxes, names = result.sightings.boxes, result.sightings.segments.names
