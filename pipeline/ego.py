@@ -18,7 +18,7 @@ from vlmm_log.pipeline.matches import Matches
 from vlmm_log.settings import EgoSettings
 from vlmm_log.types import CHI2_3_MEDIAN, Ego, Float32, Float64, Segments
 
-CONVERGED = 3e-5  # rad and m: a refit that moves the camera by less is the last
+CONVERGED = 1e-4  # rad and m: a refit that moves the camera by less is the last
 CHI2_3_QUARTILE = 1.2125329030456688  # a quarter of still points is below it
 
 

@@ -171,8 +171,8 @@ def test_elements_histories_are_states(run):
         if "StateChange:state" in batch.schema.names:
             rows = zip(batch["frame"].to_pylist(), batch["StateChange:state"].to_pylist(), strict=True)
             states.setdefault(chunk.entity_path, []).extend(rows)
-    assert sorted(states["/world/map/elements/3"]) == [(0, ["moving", "moves"])]
-    assert states["/world/map/elements/2"] == [(0, ["static", "still"])]
+    assert sorted(states["/world/map/elements/3"]) == [(2, ["moving", "moves"])]
+    assert states["/world/map/elements/2"] == [(2, ["static", "still"])]
 
 
 def test_queries_that_differ_in_signs_have_entities_of_their_own():

@@ -22,6 +22,7 @@ HIT_COLOR = (240, 228, 66)
 CLEAR = (0, 0, 0, 0)  # pixels of no instance
 MAP = "world/map"
 SIGMAS = 2.0  # half axis of an ellipsoid in standard deviations of the element's points
+HISTORY = 3  # observations from which on an element has a history: what is seen in passing would crowd the recording
 MORE = 1000  # voxels
 GROWTH = 1.25  # the background cloud is logged again once it has grown by this factor: its whole cost stays linear
 LARGEST_ID = 65535  # that a mask image holds; element ids beyond it come round again
@@ -114,12 +115,13 @@ class MapLog:
         segments = result.sightings.segments
         classes = (result.ids - 1) % LARGEST_ID + 1
         lookup = np.concatenate([[0], classes]).astype(np.uint16)
-        names = {int(c): f"{i} {name}".strip() for c, i, name in zip(classes, result.ids, segments.names, strict=True)}
+        named = zip(classes, result.ids, segments.names, strict=True)  # the nameless keep the viewer's own colours
+        names = {0: ""} | {int(c): f"{i} {name}" for c, i, name in named if name}
         self._rec.log(f"{IMAGE}/instances", rr.SegmentationImage(lookup[segments.labels]))
         if names.items() <= self._names.items():
             return
         self._names |= names
-        context = [(0, "", CLEAR), *((c, name, id_color(c)) for c, name in sorted(self._names.items()))]
+        context = [(c, name, id_color(c) if c else CLEAR) for c, name in sorted(self._names.items())]
         self._rec.log(f"{IMAGE}/instances", rr.AnnotationContext(context), static=True)
 
     def _boxes(self, result: Tracked) -> None:
@@ -133,8 +135,10 @@ class MapLog:
 
     def _history(self, element: Element, at: Moment) -> None:
         """Fused class and present motion as two lanes of states; the observation's score and reliability."""
-        path = f"{MAP}/elements/{element.id}"
-        latest = element.evidence.observations[-1]
+        seen = element.evidence.observations
+        if seen.size < HISTORY:
+            return
+        path, latest = f"{MAP}/elements/{element.id}", seen[-1]
         moves = element.intervals.size > 0 and bool(element.intervals[-1, 1] >= latest["second_ns"])
         state = (element.motion_class.name.lower(), "moves" if moves else "still")
         if self._labels.get(element.id) != element.label:
@@ -148,7 +152,7 @@ class MapLog:
 
     def _unseen(self, result: WorldMap) -> None:
         """A state of their own for elements that left the view."""
-        for i in self._in_view - set(result.touched):
+        for i in (self._in_view - set(result.touched)) & self._states.keys():
             self._states[i] = (self._states[i][0], "unseen")
             self._rec.log(f"{MAP}/elements/{i}", rr.StateChange(state=list(self._states[i])))
         self._in_view = {i for i in result.touched if i in result.elements}
