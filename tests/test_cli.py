@@ -223,3 +223,10 @@ def test_help_is_light(tmp_path, args):
     loaded = done.stderr.split()
     assert "vlmm_log.cli" in loaded
     assert not set(HEAVY) & set(loaded)
+
+
+def test_labels_cannot_steer_the_terminal():
+    from vlmm_log.cli import printable
+
+    assert printable("Stuhl \u6905 [bold]") == "Stuhl \u6905 [bold]"
+    assert printable("a\x1b[2Jb\u202ec\n") == "a\\u001b[2Jb\\u202ec\\u000a"

@@ -234,6 +234,11 @@ def _report(done: Processed) -> dict[str, object]:
     }
 
 
+def printable(text: str) -> str:
+    """A label as a terminal may show it: control and direction characters as escapes."""
+    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in text)
+
+
 def _print_answer(found: Found, limit: int, explain: bool) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -254,7 +259,7 @@ def _print_answer(found: Found, limit: int, explain: bool) -> None:
         for row in found.report(limit)["answers"]:
             place = " ".join(f"{x:.2f}" for x in row["position"])
             cells = (row["id"], row["label"], row["motion_class"], f"{row['score']:.2f}", place, row["reason"])
-            table.add_row(*(Text(str(cell)) for cell in cells))
+            table.add_row(*(Text(printable(str(cell))) for cell in cells))
         console.print(table)
     if answer.returns == "mask" and not found.outputs:
         console.print("asks for where: --masks FOLDER or --rrd F writes the pixels", highlight=False)
@@ -315,6 +320,7 @@ def _print_table(done: Processed) -> None:
     console.print(_elements_line(done), highlight=False)
     for found in done.answers:
         names = ", ".join(f"{i} {done.map.world.elements[i].label}".strip() for i in found.ids[:10].tolist())
+        names = printable(names)
         console.print(f"{found.text!r}: {found.matches} of the map's elements{': ' if names else ''}{names}")
     for note in (*done.run.notes, *done.end.told):
         console.print(f"  {note}", highlight=False)
