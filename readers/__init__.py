@@ -8,12 +8,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from vlmm_log.protocols import Log, Reader
+from vlmm_log.readers.bag.log import Bag
 from vlmm_log.readers.bonn import Bonn
 from vlmm_log.readers.tum import Tum
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import InputError
 
-READERS: tuple[Reader, ...] = (Bonn(), Tum())
+READERS: tuple[Reader, ...] = (Bonn(), Tum(), Bag())
 
 
 def recognise(path: Path) -> Reader:
@@ -29,7 +30,15 @@ def recognise(path: Path) -> Reader:
     raise InputError(f"{path}: no known kind of log (a TUM or Bonn folder holds rgb.txt and depth.txt){hint}")
 
 
+def opened(source: str | Path | Log, s: ReadSettings) -> tuple[Log, str]:
+    """The log of a path, or a log that is open already, and its reader's name. Raises InputError."""
+    if isinstance(source, str | Path):
+        path = Path(source)
+        reader = recognise(path)
+        return reader.open(path, s), reader.name
+    return source, type(source).__name__
+
+
 def open_log(path: str | Path, s: ReadSettings | None = None) -> Log:
     """The log at a path, its lists read and its images not yet. Raises InputError where it cannot be used."""
-    path = Path(path)
-    return recognise(path).open(path, s or ReadSettings())
+    return opened(path, s or ReadSettings())[0]

@@ -25,12 +25,14 @@ ROOMS = {  # folder or file -> what of the project it may import
     "readers": GROUND | {"readers"},
     "pipeline": GROUND | {"pipeline"},
     "vlmm_log/models": GROUND | {"models"},
+    "vlmm_log/writers": GROUND | {"writers", "readers", "outputs"},
+    "vlmm_log/checks": GROUND | {"checks", "readers", "pipeline", "models"},
     "vlmm_log/sinks": GROUND | {"sinks"},
 }
 FOREIGN = {  # what only some rooms may know
     "rerun": {"vlmm_log/sinks", "vlmm_log/recording.py"},
-    "mcap": {"vlmm_log/sinks", "readers"},
-    "rosbags": {"vlmm_log/sinks", "readers"},
+    "mcap": {"vlmm_log/writers", "readers"},
+    "rosbags": {"vlmm_log/writers", "readers"},
     "torch": {"vlmm_log/models"},
     "torchvision": {"vlmm_log/models"},
     "open3d": {"vlmm_log/maps"},
@@ -39,8 +41,8 @@ FOREIGN = {  # what only some rooms may know
     "sklearn": {"vlmm_log/models"},
     "urllib3": {"vlmm_log/models"},
     "pyarrow": {"vlmm_log/maps", "vlmm_log/recording.py", "vlmm_log/sinks"},
-    "numba": {"pipeline"},
-    "click": {"vlmm_log/cli.py"},
+    "numba": {"pipeline", "readers"},
+    "click": {"vlmm_log/cli.py", "vlmm_log/progress.py"},
 }
 SOURCES = sorted(p for d in ("vlmm_log", "readers", "pipeline") for p in (ROOT / d).rglob("*.py"))
 

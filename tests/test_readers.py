@@ -12,7 +12,7 @@ from scipy.linalg import polar
 from scipy.spatial.transform import Rotation, Slerp
 
 from tum_folder import ORIGIN_NS, png, rows
-from vlmm_log.readers import bonn, open_log, recognise
+from vlmm_log.readers import conventions, open_log, recognise
 from vlmm_log.readers.poses import trajectory
 from vlmm_log.readers.stamps import associate, seconds_to_ns
 from vlmm_log.settings import ReadSettings, Settings
@@ -429,11 +429,11 @@ def test_poses_of_bonn(tum_folder):
     frames, left_out = read(tum_folder("rgbd_bonn_x", camera=None, frames=2, groundtruth=gt), GIVEN)
     listed = np.eye(4)
     listed[:3, :3], listed[:3, 3] = rotation.as_matrix(), [1, 2, 3]
-    marker = bonn.T_M.copy()
-    marker[:3, :3] = polar(bonn.T_M[:3, :3])[0]
+    marker = conventions.BONN_MARKER.copy()
+    marker[:3, :3] = polar(conventions.BONN_MARKER[:3, :3])[0]
     for frame in frames:
         T = frame.T_world_cam
-        np.testing.assert_allclose(T, bonn.T_ROS @ listed @ bonn.T_ROS @ marker, atol=1e-9)
+        np.testing.assert_allclose(T, conventions.BONN_ROS @ listed @ conventions.BONN_ROS @ marker, atol=1e-9)
         np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
         assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
     assert len(frames) == 2

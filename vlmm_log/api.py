@@ -20,7 +20,7 @@ from vlmm_log.outputs import claim
 from vlmm_log.pipeline.run import Tally, empty_world, expected_pairs, keyframe_pairs, step
 from vlmm_log.protocols import Log, Models, Moment, Progress, Sink
 from vlmm_log.queries import Answer
-from vlmm_log.readers import recognise
+from vlmm_log.readers import opened
 from vlmm_log.readers.stamps import limit_ns
 from vlmm_log.settings import Settings
 from vlmm_log.sinks.many import Many, watched_by
@@ -47,7 +47,7 @@ class Processed:
 
 
 def process(
-    source: str | Path,
+    source: str | Path | Log,
     *,
     rrd: str | Path | None = None,
     map: str | Path | None = None,  # noqa: A002  the option's name
@@ -59,26 +59,26 @@ def process(
 ) -> Processed:
     """Run the method on every keyframe pair of a log and show each intermediate result to the sinks.
 
+    ``source`` is a path that some reader of ``readers.READERS`` knows, or a log of your own, opened.
     With ``rrd`` a Rerun recording is written beside and renamed once complete, with ``map`` a map file (.json,
     .parquet, .ply); existing ones are replaced only with ``force``. Each query is answered at every pair and over the
     whole map. Ctrl-C ends the run early and keeps the recording; a map file is of whole runs only. Raises InputError
     where the source, the settings, a query or an output cannot be used, and where no pair could be processed.
     """
     s = settings or Settings()
-    source = Path(source)
-    reader = recognise(source)
-    log = reader.open(source, s.read)
+    log, reader = opened(source, s.read)
+    inputs = [Path(source)] if isinstance(source, str | Path) else []
     if s.ego.model == "off" and not log.has_poses:
-        raise InputError(f"{source}: no poses, and ego.model = off needs them; use rigid or row_linear")
+        raise InputError(f"{log.name}: no poses, and ego.model = off needs them; use rigid or row_linear")
     asked, by_parser = parse(queries, s)
     expected = expected_pairs(log.count(*_window(s)), s.keyframes)
     target, map_target = (None if name is None else Path(name) for name in (rrd, map))
     if map_target is not None:
         _check_map_name(map_target)
-    claim([path for path in (target, map_target) if path is not None], force=force, inputs=[source])
+    claim([path for path in (target, map_target) if path is not None], force=force, inputs=inputs)
     models, of_models = load_models(s)
     run = Run(
-        log.name, reader.name, s.to_toml(), _versions() | of_models, log.has_poses, log.world_up, tuple(log.notes)
+        log.name, reader, s.to_toml(), _versions() | of_models, log.has_poses, log.world_up, tuple(log.notes)
     )
     summary = Summary(noise_scale=s.noise.scale)
     recordings = [] if target is None else [_recording(target, run, s)]
@@ -91,7 +91,7 @@ def process(
             e.add_note(f"what was written until then is kept as {kept}")
         raise
     if not end.pairs and end.complete:
-        raise InputError(f"{source}: no pair of frames could be processed{_why(summary)}")
+        raise InputError(f"{log.name}: no pair of frames could be processed{_why(summary)}")
     saved = SavedMap(watching.world.map, run, end, watching.origin_ns, watching.camera)
     outputs = [r.written for r in recordings if r.written]
     if map_target is not None and end.complete:

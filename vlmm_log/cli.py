@@ -5,22 +5,28 @@ from __future__ import annotations
 import json
 import os
 import sys
-import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
+from vlmm_log.progress import progress
+from vlmm_log.tables import (
+    print_answer,
+    print_converted,
+    print_diagnosis,
+    print_info,
+    print_run,
+    run_report,
+)
 from vlmm_log.version import __version__
 
 if TYPE_CHECKING:
-    from vlmm_log.api import Processed
-    from vlmm_log.ask import Found
+    from vlmm_log.settings import Settings
 
-NOTHING = 1
+NOTHING = FOUND = 1
 INTERRUPTED = 130
 
 
@@ -31,25 +37,57 @@ def cli(debug: bool) -> None:
     """What moved in a recording, and how sure are we?"""
 
 
+C = TypeVar("C", bound=Callable[..., None])
+READING = (
+    click.argument("source", type=click.Path(path_type=Path)),
+    click.option("--topics", metavar="ROLE=NAME,...", help="Of a bag: rgb, depth, info, depth_info, pose."),
+    click.option("--intrinsics", metavar="F|FX,FY,CX,CY", help="camera.txt, numbers in px, or freiburg1, bonn, ..."),
+    click.option("--start", type=float, help="Seconds from the log's first frame."),
+    click.option("--stop", type=float, help="Seconds from the log's first frame."),
+    click.option("--settings", "toml", type=click.Path(path_type=Path), help="TOML file of settings."),
+    click.option("--set", "sets", multiple=True, metavar="A.B=V", help="One setting; repeat as needed."),
+)
+
+
+def reads_a_log(command: C) -> C:
+    """Add SOURCE and the options that say how to read it."""
+    for decorate in reversed(READING):
+        command = decorate(command)
+    return command
+
+
+def _settings(
+    toml: Path | None,
+    sets: tuple[str, ...],
+    topics: str | None,
+    intrinsics: str | None,
+    start: float | None,
+    stop: float | None,
+    profile: str | None = None,
+    **others: object,
+) -> Settings:
+    """Settings of a command's options, those that were given."""
+    from vlmm_log.settings import Settings
+
+    options = {"read.topics": topics, "read.intrinsics": intrinsics, "read.start_s": start, "read.stop_s": stop}
+    options |= {name.replace("__", "."): value for name, value in others.items()}
+    return Settings.load(profile, toml, sets, {name: value for name, value in options.items() if value is not None})
+
+
 @cli.command(
     epilog="Example: vlmm-log process rgbd_dataset_freiburg3_walking_xyz --rrd walking.rrd && rerun walking.rrd"
 )
-@click.argument("source", type=click.Path(path_type=Path))
+@reads_a_log
 @click.option("--rrd", type=click.Path(path_type=Path), help="Rerun recording to write; SOURCE-name.rrd if not given.")
 @click.option("--map", "map_file", type=click.Path(path_type=Path), help="Map to write: .json, .parquet or .ply.")
 @click.option("--query", "queries", multiple=True, metavar="TEXT", help="Log what it finds at every pair; repeatable.")
 @click.option("--profile", help="default, or paper: what the paper prints.")
-@click.option("--settings", "toml", type=click.Path(path_type=Path), help="TOML file of settings.")
-@click.option("--set", "sets", multiple=True, metavar="A.B=V", help="One setting; repeat as needed.")
 @click.option("--flow", type=click.Choice(["dis", "raft"]), help="Optical flow: dis needs no weights.")
 @click.option("--weights", help="RAFT weights: a file, or a folder with raft*.pth.")
 @click.option("--segmenter", metavar="NAME", help="geometric (default), yolo:FILE.onnx, masks:FOLDER or none.")
 @click.option("--embedder", metavar="NAME", help="words (default), clip, maskclip; clip:WEIGHTS.")
 @click.option("--prior", metavar="NAME", help="Movability prior: table (default) or llm:URL.")
 @click.option("--gap", metavar="K", help="Distance of a pair: frames (3) or seconds (0.1s).")
-@click.option("--start", type=float, help="Seconds from the log's first frame.")
-@click.option("--stop", type=float, help="Seconds from the log's first frame.")
-@click.option("--intrinsics", metavar="F|FX,FY,CX,CY", help="camera.txt or numbers, px.")
 @click.option("--dense", is_flag=True, help="Write full float32 tensors and covariances.")
 @click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
 @click.option("--json", "as_json", is_flag=True, help="Print the closing figures as JSON.")
@@ -67,6 +105,7 @@ def process(
     embedder: str | None,
     prior: str | None,
     gap: str | None,
+    topics: str | None,
     start: float | None,
     stop: float | None,
     intrinsics: str | None,
@@ -76,34 +115,129 @@ def process(
 ) -> None:
     """Run the method on every keyframe pair of SOURCE and record every intermediate.
 
-    SOURCE is a folder in TUM RGB-D or Bonn layout.
+    SOURCE is a folder in TUM RGB-D or Bonn layout, rgb/ and depth/ folders with or without poses, 7-Scenes frames, a
+    .bag, a ROS 2 bag folder, a .db3 or an .mcap.
     """
     from vlmm_log.api import process as run
-    from vlmm_log.settings import Settings
 
-    options: dict[str, object] = {
-        "flow.estimator": flow,
-        "flow.weights": weights,
-        "objects.segmenter": segmenter,
-        "objects.embedder": embedder,
-        "objects.prior": prior,
-        "keyframes.gap": int(gap) if gap and len(gap) < 5 and gap.isascii() and gap.isdigit() else gap,
-        "read.start_s": start,
-        "read.stop_s": stop,
-        "read.intrinsics": intrinsics,
-        "log.dense": True if dense else None,
-    }
-    given = {name: value for name, value in options.items() if value is not None}
-    settings = Settings.load(profile, toml, sets, given)
+    settings = _settings(
+        toml,
+        sets,
+        topics,
+        intrinsics,
+        start,
+        stop,
+        profile,
+        flow__estimator=flow,
+        flow__weights=weights,
+        objects__segmenter=segmenter,
+        objects__embedder=embedder,
+        objects__prior=prior,
+        keyframes__gap=int(gap) if gap and len(gap) < 5 and gap.isascii() and gap.isdigit() else gap,
+        log__dense=True if dense else None,
+    )
     rrd = rrd or Path(f"{source.resolve().name}.rrd")  # the closing table names it
-    with _progress() as progress:
-        done = run(source, rrd=rrd, map=map_file, queries=queries, settings=settings, force=force, progress=progress)
+    with progress("pairs") as told:
+        done = run(source, rrd=rrd, map=map_file, queries=queries, settings=settings, force=force, progress=told)
     if as_json:
-        click.echo(json.dumps(_report(done), indent=2))
+        click.echo(json.dumps(run_report(done), indent=2))
     else:
-        _print_table(done)
+        print_run(done)
     if not done.end.complete:
         sys.exit(INTERRUPTED)
+
+
+@cli.command(epilog="Example: vlmm-log info walking.bag")
+@reads_a_log
+@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+def info(
+    source: Path,
+    topics: str | None,
+    intrinsics: str | None,
+    start: float | None,
+    stop: float | None,
+    toml: Path | None,
+    sets: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Say what SOURCE holds: topics or lists, rates, sizes, intrinsics, poses, gaps."""
+    from vlmm_log.survey import info as run
+
+    told = run(source, settings=_settings(toml, sets, topics, intrinsics, start, stop))
+    if as_json:
+        click.echo(json.dumps(told.report(), indent=2))
+    else:
+        print_info(told)
+
+
+@cli.command(epilog="Example: vlmm-log doctor walking.bag")
+@reads_a_log
+@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+def doctor(
+    source: Path,
+    topics: str | None,
+    intrinsics: str | None,
+    start: float | None,
+    stop: float | None,
+    toml: Path | None,
+    sets: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Check SOURCE's conventions from its data, and name the flag that mends what is wrong. Exit code 1: findings.
+
+    Inverted poses, quaternion order, axes, the pose-to-camera transform, depth scale, colour-depth registration, time
+    offsets, intrinsics, duplicated and unsynchronised frames.
+    """
+    from vlmm_log.diagnosis import doctor as run
+
+    settings = _settings(toml, sets, topics, intrinsics, start, stop)
+    with progress("checks") as told:
+        diagnosis = run(source, settings=settings, progress=told)
+    if as_json:
+        click.echo(json.dumps(diagnosis.report(), indent=2))
+    else:
+        print_diagnosis(diagnosis)
+    if diagnosis.findings:
+        sys.exit(FOUND)
+
+
+@cli.command(epilog="Examples: vlmm-log convert rgbd_dataset_freiburg1_xyz xyz.mcap; vlmm-log convert walking.bag tum/")
+@reads_a_log
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option(
+    "--to", help="mcap, bag, ros2, ros2-mcap or tum; if not given, by OUT's name."
+)
+@click.option("--compressed", is_flag=True, help="Encoded colour and compressedDepth instead of bare pixels.")
+@click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
+def convert(
+    source: Path,
+    out: Path,
+    topics: str | None,
+    intrinsics: str | None,
+    start: float | None,
+    stop: float | None,
+    toml: Path | None,
+    sets: tuple[str, ...],
+    to: str | None,
+    compressed: bool,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write SOURCE's images and poses into another container: OUT.mcap, OUT.bag, a ROS 2 bag folder or a TUM folder.
+
+    Without loss: depth, poses and stamps come back bit for bit.
+    """
+    from vlmm_log.conversion import convert as run
+
+    settings = _settings(toml, sets, topics, intrinsics, start, stop)
+    form = "compressed" if compressed else "raw"
+    with progress("images") as told:
+        done = run(source, out, settings=settings, to=to or "", images=form, force=force, progress=told)
+    if as_json:
+        click.echo(json.dumps(done.report(), indent=2))
+    else:
+        print_converted(done)
 
 
 @cli.command(
@@ -144,7 +278,7 @@ def query(
     if as_json:
         click.echo(json.dumps(found.report(limit), indent=2))
     else:
-        _print_answer(found, limit, explain)
+        print_answer(found, limit, explain)
     if not found.answer.matches:
         sys.exit(NOTHING)
 
@@ -176,157 +310,3 @@ def main() -> None:
                 f"vlmm-log: internal error: {type(e).__name__}: {e}; run again with --debug and report it", err=True
             )
         sys.exit(2)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """A bar with pairs/s and time left on a terminal; else a plain line now and then. On stderr."""
-    if not sys.stderr.isatty():
-        yield _plain_lines()
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = [BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn()]
-    began = time.monotonic()
-    with Progress(TextColumn("pairs"), *columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("pairs", total=None, rate="")
-
-        def update(done: int, expected: int) -> None:
-            rate = f"{done / (time.monotonic() - began):.1f}/s"
-            bar.update(task, completed=done, total=max(expected, done), rate=rate)
-
-        yield update
-
-
-def _plain_lines(every_s: float = 5.0) -> Callable[[int, int], None]:
-    began = last = time.monotonic()
-
-    def update(done: int, expected: int) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if now - last >= every_s:
-            last = now
-            rate = done / (now - began)
-            left = max(expected - done, 0) / rate
-            click.echo(f"pair {done} of {expected}, {rate:.1f} pairs/s, {left:.0f} s left", err=True)
-
-    return update
-
-
-def _report(done: Processed) -> dict[str, object]:
-    return {
-        "source": done.run.source,
-        "reader": done.run.reader,
-        "notes": [*done.run.notes, *done.end.told],
-        "complete": done.end.complete,
-        "input_hash": done.end.input_hash,
-        "frames": done.end.frames,
-        "outputs": [str(path) for path in done.outputs],
-        "figures": done.summary.figures(),
-        "elements": _elements_line(done),
-        "answers": [
-            {"query": a.text, "matches": a.matches, "ids": a.ids.tolist(), "reasons": list(a.reasons)}
-            for a in done.answers
-        ],
-        "skipped": dict(done.summary.skipped),
-        "versions": done.run.versions,
-    }
-
-
-def printable(text: str) -> str:
-    """A label as a terminal may show it: control and direction characters as escapes."""
-    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in text)
-
-
-def _print_answer(found: Found, limit: int, explain: bool) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    console = Console(markup=False)
-    answer, elements = found.answer, found.elements
-    if explain:
-        console.print(answer.explanation, highlight=False)
-    if answer.returns == "count":
-        console.print(str(answer.matches), highlight=False)
-    elif not answer.matches:
-        console.print(f"nothing in {len(elements)} elements answers {answer.text!r}", highlight=False)
-    if answer.matches:
-        table = Table(title=Text(f"{answer.matches} of {len(elements)} elements"), title_justify="left")
-        for name in ("id", "label", "class", "score", "position m", "why"):
-            table.add_column(name, overflow="fold")
-        for row in found.report(limit)["answers"]:
-            place = " ".join(f"{x:.2f}" for x in row["position"])
-            cells = (row["id"], row["label"], row["motion_class"], f"{row['score']:.2f}", place, row["reason"])
-            table.add_row(*(Text(printable(str(cell))) for cell in cells))
-        console.print(table)
-    if answer.returns == "mask" and not found.outputs:
-        console.print("asks for where: --masks FOLDER or --rrd F writes the pixels", highlight=False)
-    for told in found.told:
-        console.print(f"  {told}", highlight=False)
-    for path in found.outputs:
-        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
-
-
-ROWS = {  # figure -> what the table calls it, how it is written
-    "pairs": ("pairs", "{:.0f}"),
-    "unreliable_pairs": ("pairs with unreliable ego-motion", "{:.0f}"),
-    "coverage": ("coverage (pixels scored)", "{:.1%}"),
-    "flagged_share": ("flagged (d_M above tau_px)", "{:.2%}"),
-    "static_d_m2_median": ("d_M^2 median (2.366 expected of a still world)", "{:.2f}"),
-    "calibrating_noise_scale": ("noise.scale that would make it 2.366", "{:.2f}"),
-    "residual_median_m": ("residual median", "{:.4f} m"),
-    "instances": ("instances a frame", "{:.0f}"),
-    "ego_inlier_share": ("ego-refinement inliers", "{:.1%}"),
-    "flow_ms": ("flow", "{:.1f} ms"),
-    "matches_ms": ("noise of the matches", "{:.1f} ms"),
-    "ego_ms": ("ego-refinement", "{:.1f} ms"),
-    "motion_ms": ("motion channel", "{:.1f} ms"),
-    "segments_ms": ("segmenter", "{:.1f} ms"),
-    "embed_ms": ("embedder", "{:.1f} ms"),
-    "aggregate_ms": ("observations", "{:.1f} ms"),
-    "associate_ms": ("association", "{:.1f} ms"),
-    "map_ms": ("map and fusion", "{:.1f} ms"),
-}
-
-
-def _elements_line(done: Processed) -> str:
-    from collections import Counter
-
-    classes = Counter(e.motion_class.name.lower() for e in done.map.world.elements.values())
-    moved = sum(len(e.intervals) > 0 for e in done.map.world.elements.values())
-    counts = ", ".join(f"{n} {name}" for name, n in sorted(classes.items()))
-    return f"{len(done.map.world.elements)} elements: {counts or 'none'}; {moved} seen to move at some time"
-
-
-def _print_table(done: Processed) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    console = Console(markup=False)  # names may hold brackets
-    title = Text(f"{done.run.source} ({done.run.reader}), medians over pairs")
-    table = Table(title=title, title_justify="left")
-    table.add_column("figure")
-    table.add_column("value", justify="right")
-    figures = done.summary.figures()
-    for name, (label, form) in ROWS.items():
-        if name in figures:
-            table.add_row(label, form.format(figures[name]))
-    for reason, count in sorted(done.summary.skipped.items()):
-        table.add_row(Text(f"noted: {reason}"), str(count))
-    console.print(table)
-    console.print(_elements_line(done), highlight=False)
-    for found in done.answers:
-        names = ", ".join(f"{i} {done.map.world.elements[i].label}".strip() for i in found.ids[:10].tolist())
-        names = printable(names)
-        console.print(f"{found.text!r}: {found.matches} of the map's elements{': ' if names else ''}{names}")
-    for note in (*done.run.notes, *done.end.told):
-        console.print(f"  {note}", highlight=False)
-    for path in done.outputs:
-        size = path.stat().st_size / 1e6
-        state = "" if done.end.complete else " (interrupted: readable up to the last pair)"
-        console.print(f"wrote {path}{state}, {size:.1f} MB", highlight=False, soft_wrap=True)
-    if not done.end.complete and not done.outputs:
-        console.print("interrupted before the first pair: nothing was kept")

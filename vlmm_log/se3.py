@@ -78,6 +78,19 @@ def from_quaternion(translation: Float64, xyzw: Float64) -> Float64:
     return T
 
 
+def quaternion(T: Float64) -> Float64:
+    """Unit quaternion (4,) of a motion (4, 4) in x, y, z, w order, w not negative. Shepperd 1978."""
+    R = T[:3, :3]
+    squares = np.array([1 + R[0, 0] - R[1, 1] - R[2, 2], 1 - R[0, 0] + R[1, 1] - R[2, 2]])
+    squares = np.append(squares, [1 - R[0, 0] - R[1, 1] + R[2, 2], 1 + np.trace(R)])
+    x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    xy, xz, yz = R[0, 1] + R[1, 0], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1]
+    rows = np.array([[squares[0], xy, xz, x], [xy, squares[1], yz, y], [xz, yz, squares[2], z], [x, y, z, squares[3]]])
+    q = rows[int(np.argmax(squares))]  # the largest divisor is the safest
+    q = q / np.linalg.norm(q)
+    return np.asarray(-q if q[3] < 0 else q, np.float64)
+
+
 def slerp(q0: Float64, q1: Float64, s: float) -> Float64:
     """Unit quaternion (4,) at share s of the shorter arc from q0 to q1. Shoemake, SIGGRAPH 1985."""
     dot = float(q0 @ q1)

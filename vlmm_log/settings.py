@@ -21,7 +21,14 @@ NO_OPTIONS: Mapping[str, object] = {}
 class ReadSettings:
     """How a log becomes frames."""
 
-    intrinsics: str = knob("", "pinhole intrinsics: a camera.txt or 'fx,fy,cx,cy' px; empty: from the source")
+    topics: str = knob("", "of a bag: 'rgb=/a,depth=/b,info=/c,depth_info=/d,pose=/e'; what is not named is chosen")
+    intrinsics: str = knob(
+        "",
+        "pinhole intrinsics: a camera.txt, 'fx,fy,cx,cy' px or freiburg1 to 3, bonn, icl, kinect; empty: the source's",
+    )
+    distortion: str = knob(
+        "", "lens distortion to undo: 'k1,k2,p1,p2[,k3[,k4,k5,k6]]' as OpenCV orders them, or none; empty: the source's"
+    )
     depth_units_per_meter: float = knob(0.0, "stored depth value of one metre; 0: as the source says", low=0)
     depth_min_m: float = knob(0.1, "nearer depth is unseen, m", low=0)
     depth_max_m: float = knob(10.0, "farther depth is unseen, m", low=0, high=math.inf)
@@ -31,6 +38,24 @@ class ReadSettings:
     pose_gap_s: float = knob(
         0.1, "largest time between the two poses that a frame's pose is taken from, s", low=0, high=math.inf
     )
+    poses: str = knob("camera_to_world", "what a listed pose maps", of=("camera_to_world", "world_to_camera"))
+    quaternion: str = knob("xyzw", "order in which quaternions are listed", of=("xyzw", "wxyz"))
+    camera_axes: str = knob(
+        "optical",
+        "axes of the listed frame: optical (x right, y down), body (x forward, z up), opengl (x right, y up)",
+        of=("optical", "body", "opengl"),
+    )
+    pose_to_camera: str = knob(
+        "", "camera in the tracked frame: none, bonn, icl or 'tx,ty,tz,qx,qy,qz,qw' m; empty: as the source says"
+    )
+    depth_to_rgb: str = knob(
+        "",
+        "depth camera in the colour camera's frame: 'tx,ty,tz,qx,qy,qz,qw' m, or registered; empty: the source's",
+    )
+    position_units_per_meter: float = knob(1.0, "listed position of one metre", low=1e-6)
+    pose_offset_s: float = knob(0.0, "added to the stamps of poses, s", low=-10, high=10)
+    depth_offset_s: float = knob(0.0, "added to the stamps of depth images, s", low=-10, high=10)
+    depth_shift_px: str = knob("0,0", "'dx,dy': depth images are moved right and down by so many px")
     start_s: float = knob(0.0, "first moment used, s from the log's first frame", low=0, high=math.inf)
     stop_s: float = knob(1e9, "first moment no longer used, s from the log's first frame", low=0, high=math.inf)
 

@@ -1,0 +1,261 @@
+"""A bag as a log: topics chosen, cameras and poses read, images synchronised as they stream by."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+from vlmm_log.protocols import Log
+from vlmm_log.readers import conventions
+from vlmm_log.readers.assembly import Assembly
+from vlmm_log.readers.bag.cameras import Cameras, cameras
+from vlmm_log.readers.bag.containers import Container, Message, MessageError, is_container, open_container
+from vlmm_log.readers.bag.messages import TRANSFORMS, image_of, stamp_of
+from vlmm_log.readers.bag.synchronise import LATENESS_NS, Pair, synchronised
+from vlmm_log.readers.bag.topics import TF, Choice, choose, parse_topics
+from vlmm_log.readers.bag.trajectories import read_poses, read_tree
+from vlmm_log.readers.bag.transforms import Tree
+from vlmm_log.readers.images import ImageError
+from vlmm_log.readers.intrinsics import Intrinsics
+from vlmm_log.readers.poses import Poses
+from vlmm_log.readers.stamps import LATEST_NS, limit_ns
+from vlmm_log.readers.stored import Kind, Shot, StoredImage, Stream, stream
+from vlmm_log.settings import ReadSettings
+from vlmm_log.types import Float64, Frame, InputError, Skipped
+
+STILL_NS = 5_000_000_000
+LARGEST_TOLERANCE_S = 1.0  # beyond it, images would have to be held back for longer than they may be late
+
+
+class Bag:
+    """The reader."""
+
+    name = "bag"
+
+    def recognises(self, path: Path) -> bool:
+        """A .bag, .mcap or .db3, or a folder of the latter two."""
+        return is_container(path)
+
+    def open(self, path: Path, s: ReadSettings) -> Log:
+        """The log of a bag. Raises InputError where topics or cameras are missing."""
+        if s.association_s > LARGEST_TOLERANCE_S:
+            raise InputError(f"read.association_s = {s.association_s}: at most {LARGEST_TOLERANCE_S:g} s for a bag")
+        container = open_container(path)
+        choice = choose(container, parse_topics(s.topics))
+        return BagLog(container, s, choice)
+
+
+@dataclass
+class BagLog:
+    """An opened bag."""
+
+    container: Container
+    s: ReadSettings
+    choice: Choice
+    left_out: list[Skipped] = field(default_factory=list)  # what never became an image: losses, bad poses
+
+    def __post_init__(self) -> None:
+        first_ns = self.container.start_ns  # of what has no time of its own
+        self.left_out += [replace(x, stamp_ns=x.stamp_ns or first_ns) for x in self.container.losses]
+        self._told: list[str] = []
+        self._cameras: Cameras = cameras(self.container, self.choice, lambda: self._still, self.s)
+
+    @property
+    def name(self) -> str:
+        """The file's or folder's name."""
+        return self.container.path.resolve().name.encode("utf-8", "backslashreplace").decode()
+
+    @property
+    def camera(self) -> Intrinsics:
+        """See stored.StoredLog."""
+        return self._cameras.rgb
+
+    @property
+    def depth_camera(self) -> tuple[Intrinsics, Float64] | None:
+        """See stored.StoredLog."""
+        return self._cameras.depth
+
+    @property
+    def units_per_meter(self) -> float:
+        """See stored.StoredLog."""
+        return self._cameras.units_per_meter
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether any pose was read."""
+        return self.poses is not None
+
+    @property
+    def world_up(self) -> str:
+        """That of the poses' world; the camera's -y where there are none."""
+        return "-y" if self.poses is None else self.poses.world_up
+
+    @property
+    def notes(self) -> list[str]:
+        """See protocols.Log."""
+        c = self.choice
+        told = [f"{self.container.kind}: colour {c.rgb.topic.name}, depth {c.depth.topic.name}"]
+        told += [*self._assembly().notes(), *self._cameras.notes, *self._told]
+        told.append("no poses" if self.poses is None else f"{self.poses.stamps_ns.size} poses from {self.poses.source}")
+        return [*told, f"the first frame at {self.origin_ns} ns"]
+
+    @property
+    def streams(self) -> tuple[Stream, ...]:
+        """See stored.StoredLog."""
+        c = self.choice
+        roles = {c.rgb.topic.name: "rgb", c.depth.topic.name: "depth", c.depth_info: "depth_info", c.info: "info"}
+        roles |= {c.pose: "pose"}
+        found = []
+        for topic in self.container.topics:
+            tree = c.pose.split(":")[0] == TF and topic.type in TRANSFORMS
+            role = "pose" if tree else roles.get(topic.name, "")
+            times = self.container.log_times(topic.name)
+            if times is None:
+                found.append(Stream(topic.name, topic.type, role, topic.count, None, None, math.nan))
+            else:
+                found.append(stream(topic.name, topic.type, role, times))
+        return tuple(found)
+
+    @property
+    def posed(self) -> str:
+        """See stored.StoredLog."""
+        pose = self.choice.pose
+        if pose.split(":")[0] != TF:
+            return pose
+        line = self._still.ancestors(self.choice.rgb.frame)[::-1]
+        if len(line) < 2:
+            return f"tf does not join {self.choice.rgb.frame!r} to any frame in the log's first {STILL_NS / 1e9:g} s"
+        return f"tf, {' -> '.join(line)}"
+
+    @property
+    def ranked(self) -> Mapping[str, tuple[str, ...]]:
+        """See stored.StoredLog."""
+        return {
+            role: tuple(f"{c.topic} ({c.score:.1f}: {c.why})" for c in candidates)
+            for role, candidates in self.choice.ranked.items()
+        }
+
+    @property
+    def origin_ns(self) -> int:
+        """Time of the first frame."""
+        return self._first[1].stamp_ns
+
+    def count(self, start_ns: int, stop_ns: int) -> int:
+        """See protocols.Log; from the counts of messages, so about right only."""
+        both = [t.count for t in (self.choice.rgb.topic, self.choice.depth.topic) if t.count is not None]
+        whole = max(self.container.stop_ns - self.container.start_ns, 1)
+        share = (min(stop_ns, whole) - max(start_ns, 0)) / whole
+        return round(min(both) * min(max(share, 0.0), 1.0)) if both else 0
+
+    def frames(self, start_ns: int, stop_ns: int) -> Iterator[Frame | Skipped]:
+        """See protocols.Log. ``Frame.index`` is the message's position in the colour topic."""
+        assembly = self._assembly()
+        if start_ns <= 0:
+            yield from self.left_out
+        with closing(self._pairs(start_ns, stop_ns)) as pairs:
+            for item in pairs:
+                stamp_ns = item.stamp_ns if isinstance(item, Skipped) else item[1].stamp_ns
+                early = stamp_ns - self.origin_ns < start_ns and (start_ns > 0 or not isinstance(item, Skipped))
+                if early or stamp_ns - self.origin_ns >= stop_ns:
+                    continue
+                if isinstance(item, Skipped):
+                    yield item
+                else:
+                    yield from assembly.frames(*item)
+
+    def shots(self, start_ns: int, stop_ns: int) -> Iterator[Shot | Skipped]:
+        """See stored.StoredLog."""
+        if start_ns <= 0:
+            yield from self.left_out
+        for shot in self._shots(*self._log_window(start_ns, stop_ns)):
+            if isinstance(shot, Skipped) or start_ns <= shot.stamp_ns - self.origin_ns < stop_ns:
+                yield shot
+
+    def _assembly(self) -> Assembly:
+        return Assembly(self.camera, self.units_per_meter, self.poses, self.s, self.depth_camera)
+
+    @cached_property
+    def _first(self) -> Pair:
+        """The first two images that belong together."""
+        shots = self._shots(self.container.start_ns, self.container.stop_ns)
+        with closing(synchronised(shots, limit_ns(self.s.association_s))) as pairs:
+            for item in pairs:
+                if not isinstance(item, Skipped):
+                    return item
+        raise InputError(
+            f"{self.container.path}: no colour image within {self.s.association_s} s of a depth image; "
+            "check the stamps or raise --set read.association_s"
+        )
+
+    @cached_property
+    def _latency_ns(self) -> int:
+        """How much later than its stamp the first frame was recorded."""
+        topic = self.choice.depth.topic.name
+        for message in self.container.messages([topic], self.container.start_ns, self.container.stop_ns):
+            if isinstance(message, Message) and message.ordinal == self._first[1].index:
+                return message.log_ns - self._first[1].stamp_ns
+        return 0
+
+    def _log_window(self, start_ns: int, stop_ns: int) -> tuple[int, int]:
+        """The window of log time that holds a window of stamps, with room for images that come early or late."""
+        first, last = self.container.start_ns, self.container.stop_ns
+        if start_ns > 0:
+            first = max(first, self.origin_ns + self._latency_ns + start_ns - LATENESS_NS)
+        if stop_ns < LATEST_NS // 4:
+            last = min(last, self.origin_ns + self._latency_ns + stop_ns + LATENESS_NS)
+        return first, max(first, last)
+
+    def _pairs(self, start_ns: int, stop_ns: int) -> Generator[Pair | Skipped]:
+        shots = self._shots(*self._log_window(start_ns, stop_ns))
+        return synchronised(shots, limit_ns(self.s.association_s))
+
+    def _shots(self, start_ns: int, stop_ns: int) -> Iterator[Shot | Skipped]:
+        """Images in log order."""
+        kinds: dict[str, Kind] = {self.choice.rgb.topic.name: "rgb", self.choice.depth.topic.name: "depth"}
+        late_ns = {"rgb": 0, "depth": round(self.s.depth_offset_s * 1e9)}
+        for message in self.container.messages(list(kinds), start_ns, stop_ns):
+            if isinstance(message, Skipped):
+                yield message
+                continue
+            kind = kinds[message.topic.name]
+            what = f"{message.topic.name} {message.ordinal}"
+            index = message.ordinal if kind == "rgb" else None
+            try:
+                content = message.decode()
+                stamp_ns = stamp_of(content)
+            except MessageError as e:
+                yield Skipped(message.log_ns, what, str(e), index)
+                continue
+            load = partial(_image, content, message.topic.type)
+            yield Shot(kind, stamp_ns + late_ns[kind], message.ordinal, what, load)
+
+    @cached_property
+    def poses(self) -> Poses | None:
+        """See stored.StoredLog; of the window that is asked for."""
+        window = self._log_window(limit_ns(self.s.start_s), limit_ns(self.s.stop_s))
+        tree = read_tree(self.container, *window, self.left_out)
+        poses = read_poses(self.container, self.choice, tree, window, self.left_out, self._told)
+        self._told += [f"transforms: {conflict}" for conflict in tree.conflicts()]
+        if poses is None:
+            return None
+        return Poses(poses.links, poses.source, conventions.asked(self.s, poses.convention), poses.up)
+
+    @cached_property
+    def _still(self) -> Tree:
+        """ROS 1 repeats still transforms on /tf, so its beginning is read too."""
+        start_ns = self.container.start_ns
+        return read_tree(self.container, start_ns, start_ns + STILL_NS, [])
+
+
+def _image(content: Any, type_name: str) -> StoredImage:
+    try:
+        return image_of(content, type_name)
+    except MessageError as e:
+        raise ImageError(str(e)) from e
+    except AttributeError as e:
+        raise ImageError("message lacks a field") from e

@@ -1,0 +1,152 @@
+"""The chunks of a ROS 1 bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import BinaryIO
+
+import numpy as np
+
+from vlmm_log.readers.bag.channels import Channel
+from vlmm_log.readers.bag.chunked import ChunkError, Record, times_of
+from vlmm_log.readers.bag.rosbag1_records import (
+    CHUNK,
+    CONNECTION,
+    INDEX,
+    MESSAGE,
+    connection,
+    decompressed,
+    decompressed_head,
+    index_times,
+    message,
+    read_at,
+    record_in,
+    records,
+)
+from vlmm_log.readers.stamps import LATEST_NS
+from vlmm_log.types import Int64
+
+
+@dataclass(frozen=True, eq=False)
+class BagPlace:
+    """A chunk's data in the file, or records that stand there outside chunks."""
+
+    record: int  # byte where it begins, for people
+    start: int = 0  # of the data
+    stop: int = 0
+    compression: bytes = b""
+    size: int | None = None  # bytes uncompressed; None: cut off
+    index: tuple[int, int] | None = None  # bytes of the index records that follow
+    times: dict[int, Int64] | None = None  # log times by connection where they are known already
+    span: tuple[int, int] = (0, LATEST_NS)  # log times of the first and last message
+
+
+def chunk_place(file: BinaryIO, at: int) -> BagPlace:
+    """The chunk at a byte; its index still unknown. Raises ChunkError."""
+    record = record_in(file, at)
+    if record.op != CHUNK:
+        raise ChunkError("chunk is damaged")
+    compression = record.fields.get(b"compression", b"")
+    return BagPlace(at, record.start, record.stop, compression, record.number(b"size"))
+
+
+def chunk_data(file: BinaryIO, place: BagPlace) -> memoryview:
+    """The records of a chunk, uncompressed; of one that is cut off, what is left. Raises ChunkError."""
+    if not place.compression:
+        raise ChunkError("chunk is damaged")
+    data = read_at(file, place.start, place.stop - place.start)
+    if place.size is None:
+        return memoryview(decompressed_head(data, place.compression))
+    return memoryview(decompressed(data, place.compression, place.size))
+
+
+def indexed_times(file: BinaryIO, place: tuple[int, int]) -> dict[int, Int64]:
+    """Log times by connection from the index records of a chunk. Raises ChunkError."""
+    data = read_at(file, place[0], place[1] - place[0])
+    times: dict[int, list[Int64]] = {}
+    for record in records(memoryview(data)):
+        if record.op == INDEX:
+            key, own = index_times(record, data[record.start : record.stop])
+            times.setdefault(key, []).append(own)
+    return {key: np.concatenate(own) for key, own in times.items()}
+
+
+def chunk_messages(data: memoryview, place: BagPlace) -> Iterator[Record]:
+    """The messages among a chunk's records; of one that is cut off, the whole ones. Raises ChunkError."""
+    at = 0
+    try:
+        for record in records(data):
+            if record.op == MESSAGE:
+                yield message(record, data, at)
+            at = record.stop
+    except ChunkError:
+        if place.size is not None:
+            raise
+
+
+def explored(file: BinaryIO, place: BagPlace, channels: dict[int, Channel]) -> BagPlace:
+    """A chunk with its log times, its connections put into ``channels``; without times where it is damaged."""
+    try:
+        times = indexed_times(file, place.index) if place.index else {}
+        if not times or not times.keys() <= channels.keys():
+            data = chunk_data(file, place)
+            times = times or times_of(list(chunk_messages(data, place)))
+            for key, found in _connections(data, place):
+                channels.setdefault(key, found)
+    except ChunkError:
+        return replace(place, index=None, times=None)
+    ends = [(int(own.min()), int(own.max())) for own in times.values() if own.size]
+    span = (min(e[0] for e in ends), max(e[1] for e in ends)) if ends else (0, 0)
+    return replace(place, times=times, span=span)
+
+
+def _connections(data: memoryview, place: BagPlace) -> Iterator[tuple[int, Channel]]:
+    try:
+        for record in records(data):
+            if record.op == CONNECTION:
+                yield connection(record, data[record.start : record.stop])
+    except ChunkError:
+        if place.size is not None:
+            raise
+
+
+@dataclass(eq=False)
+class BagChunks:
+    """See chunked.Chunks."""
+
+    file: BinaryIO
+    places: list[BagPlace]
+    channels: Mapping[int, Channel]
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def spans(self, k: int) -> tuple[int, int]:
+        """See chunked.Chunks."""
+        return self.places[k].span
+
+    def place(self, k: int) -> str:
+        """See chunked.Chunks."""
+        return f"chunk at byte {self.places[k].record}"
+
+    def times(self, k: int) -> Mapping[int, Int64]:
+        """See chunked.Chunks."""
+        place = self.places[k]
+        if place.times is not None:
+            return place.times
+        if place.index is not None:
+            return indexed_times(self.file, place.index)
+        return times_of(list(self.records(k)))
+
+    def records(self, k: int) -> Iterator[Record]:
+        """See chunked.Chunks."""
+        return chunk_messages(chunk_data(self.file, self.places[k]), self.places[k])
+
+    def payloads_needed(self) -> bool:
+        """See chunked.Chunks."""
+        return any(p.times is None and p.index is None for p in self.places)
+
+    def close(self) -> None:
+        """See chunked.Chunks."""
+        self.file.close()

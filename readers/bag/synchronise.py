@@ -1,0 +1,106 @@
+"""Approximate-time synchronisation of a stream: the pairing of ``stamps.associate`` with a bounded memory."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import dataclass, field
+
+from vlmm_log.readers.stored import Kind, Shot
+from vlmm_log.types import Skipped
+
+LATENESS_NS = 2_000_000_000  # an image comes at most so much later than one with a later stamp
+Pair = tuple[Shot, Shot]
+PARTNER: dict[Kind, Kind] = {"rgb": "depth", "depth": "rgb"}
+CALLED: dict[Kind, str] = {"rgb": "colour", "depth": "depth"}
+
+
+@dataclass
+class _Waiting:
+    """Images that are not decided yet, and decisions that are not in order yet."""
+
+    tolerance_ns: int
+    pending: dict[Kind, list[Shot]] = field(default_factory=lambda: {"rgb": [], "depth": []})
+    latest: dict[Kind, int] = field(default_factory=dict)
+    decided: list[tuple[int, int, Pair | Skipped]] = field(default_factory=list)  # heap by time
+    recent: dict[Kind, deque[int]] = field(
+        default_factory=lambda: {"rgb": deque(maxlen=512), "depth": deque(maxlen=512)}
+    )
+    count: int = 0
+
+    def add(self, shot: Shot) -> None:
+        if shot.stamp_ns in self.recent[shot.kind]:
+            self.tell(Skipped(shot.stamp_ns, shot.what, "stamp repeated", _index(shot)))
+            return
+        if shot.stamp_ns < self.latest.get(shot.kind, shot.stamp_ns):
+            self.tell(Skipped(shot.stamp_ns, shot.what, "stamp out of order; the image was sorted in", _index(shot)))
+        self.recent[shot.kind].append(shot.stamp_ns)
+        self.pending[shot.kind].append(shot)
+        self.latest[shot.kind] = max(shot.stamp_ns, self.latest.get(shot.kind, shot.stamp_ns))
+
+    def tell(self, item: Pair | Skipped) -> None:
+        stamp = item.stamp_ns if isinstance(item, Skipped) else item[1].stamp_ns
+        heapq.heappush(self.decided, (stamp, self.count, item))
+        self.count += 1
+
+    def frontier(self, kind: Kind) -> int:
+        """Every image of a kind up to this stamp is here."""
+        newest = max(self.latest.values(), default=-(2**62))
+        return max(self.latest.get(kind, -(2**62)), newest - LATENESS_NS)
+
+    def decide(self, frontier: dict[Kind, int]) -> None:
+        """Pair what is nearest to each other, as long as no image still to come could be nearer."""
+        while True:
+            best = {kind: [self._best(shot) for shot in self.pending[kind]] for kind in self.pending}
+            for i, (shot, choice) in enumerate(zip(self.pending["rgb"], best["rgb"], strict=True)):
+                if choice is None or not (self._known(shot, frontier) and self._known(choice, frontier)):
+                    continue
+                j = self.pending["depth"].index(choice)
+                if best["depth"][j] is shot:
+                    self.tell((self.pending["rgb"].pop(i), self.pending["depth"].pop(j)))
+                    break
+            else:
+                break
+        for kind, shots in self.pending.items():
+            for shot in [x for x in shots if self._known(x, frontier) and self._best(x) is None]:
+                shots.remove(shot)
+                reason = f"no {CALLED[PARTNER[kind]]} image within {self.tolerance_ns / 1e9:g} s"
+                self.tell(Skipped(shot.stamp_ns, shot.what, reason, _index(shot)))
+
+    def ordered(self, until_ns: int) -> Iterator[Pair | Skipped]:
+        """What is decided before a time and before everything undecided, by time."""
+        undecided = [shot.stamp_ns for shots in self.pending.values() for shot in shots]
+        until_ns = min([until_ns, *(stamp - self.tolerance_ns for stamp in undecided)])
+        while self.decided and self.decided[0][0] < until_ns:
+            yield heapq.heappop(self.decided)[2]
+
+    def _known(self, shot: Shot, frontier: dict[Kind, int]) -> bool:
+        return shot.stamp_ns + self.tolerance_ns <= frontier[PARTNER[shot.kind]]
+
+    def _best(self, shot: Shot) -> Shot | None:
+        """The nearest partner; of equally near ones the pair that comes first, as in ``associate``."""
+        near = [x for x in self.pending[PARTNER[shot.kind]] if abs(x.stamp_ns - shot.stamp_ns) <= self.tolerance_ns]
+        return min(near, key=lambda x: (abs(x.stamp_ns - shot.stamp_ns), x.stamp_ns), default=None)
+
+
+def synchronised(shots: Iterable[Shot | Skipped], tolerance_ns: int) -> Generator[Pair | Skipped]:
+    """Colour and depth images that belong together, each used once, by the depth image's stamp; and what is left out.
+
+    The same pairs as ``stamps.associate`` gives of all stamps, as long as no image comes LATENESS_NS late.
+    """
+    waiting = _Waiting(tolerance_ns)
+    for shot in shots:
+        if isinstance(shot, Skipped):
+            waiting.tell(shot)
+            continue
+        waiting.add(shot)
+        frontier = {kind: waiting.frontier(kind) for kind in PARTNER}
+        waiting.decide(frontier)
+        yield from waiting.ordered(min(frontier.values()) - tolerance_ns)
+    waiting.decide(dict.fromkeys(PARTNER, 2**63))
+    yield from waiting.ordered(2**63)
+
+
+def _index(shot: Shot) -> int | None:
+    return shot.index if shot.kind == "rgb" else None

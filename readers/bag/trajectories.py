@@ -1,0 +1,147 @@
+"""Where the camera of a bag stood: transforms, odometry, poses and paths as a chain of links."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+
+import numpy as np
+
+from vlmm_log.readers.bag.containers import Container, Message, MessageError
+from vlmm_log.readers.bag.messages import TRANSFORMS, Placed, poses_of, transforms_of
+from vlmm_log.readers.bag.topics import TF, Choice
+from vlmm_log.readers.bag.transforms import Edge, Tree
+from vlmm_log.readers.conventions import PLAIN
+from vlmm_log.readers.poses import Link, Poses, Trajectory, usable_pose
+from vlmm_log.types import InputError, Skipped
+
+
+def read_tree(container: Container, start_ns: int, stop_ns: int, left_out: list[Skipped]) -> Tree:
+    """The tree of frames: /tf_static of the whole log, /tf of a window of log time."""
+    tree = Tree()
+    names = [t.name for t in container.topics if t.type in TRANSFORMS]
+    still = [name for name in names if name.rsplit("/", 1)[-1] == "tf_static"]
+    for placed in _placed(container, still, container.start_ns, container.stop_ns, left_out):
+        tree.add_still(placed)
+    moving = [name for name in names if name not in still]
+    for placed in _placed(container, moving, start_ns, stop_ns, left_out):
+        tree.add(placed)
+    for reason, count in sorted(tree.refused.items()):
+        left_out += [Skipped(start_ns, "/tf", reason)] * count
+    return tree
+
+
+def read_poses(
+    container: Container, choice: Choice, tree: Tree, window: tuple[int, int], left_out: list[Skipped], notes: list[str]
+) -> Poses | None:
+    """The poses of the chosen source over a window of log time; None where there are none."""
+    frame = choice.rgb.frame
+    if choice.pose.split(":")[0] == TF:
+        return _of_tree(container, tree, frame, choice.pose.partition(":")[2])
+    if not choice.pose:
+        return None
+    return _of_topic(container, choice.pose, tree, frame, window, left_out, notes)
+
+
+def _of_tree(container: Container, tree: Tree, frame: str, world: str) -> Poses | None:
+    root = world.lstrip("/") or tree.ancestors(frame)[-1]
+    links = tree.chain(root, frame)
+    if links is None:
+        raise InputError(f"{container.path}: no transforms join {root!r} and the camera's frame {frame!r}")
+    if not any(isinstance(link.motion, Trajectory) for link in links) and not world:
+        return None  # a tree of still frames says nothing of where the camera went
+    path = tree.ancestors(frame)
+    named = path[: path.index(root) + 1][::-1] if root in path else [root, "...", frame]
+    return Poses(_merged(links), f"tf, {' -> '.join(named)}", up=_up(root))
+
+
+def _of_topic(
+    container: Container,
+    topic: str,
+    tree: Tree,
+    frame: str,
+    window: tuple[int, int],
+    left_out: list[Skipped],
+    notes: list[str],
+) -> Poses | None:
+    edge, last = Edge(), None
+    listed = {t.name: t for t in container.topics}[topic]
+    if listed.type == "nav_msgs/msg/Path":  # each message holds the whole way so far: the last one is the best
+        window = _of_last(container, topic)
+    for placed in _placed(container, [topic], *window, left_out):
+        reason = usable_pose(placed.values)
+        if reason:
+            left_out.append(Skipped(placed.stamp_ns, topic, reason))
+            continue
+        edge.add(placed)
+        last = placed
+    if last is None:
+        return None
+    links = [Link(_trajectory(edge))]
+    if last.child and last.child != frame:
+        rest = tree.chain(last.child, frame)
+        if rest is None:
+            notes.append(f"no transform from {last.child} to {frame}: poses of {topic} are taken as the camera's own")
+        links += rest or ()
+    elif not last.child:
+        notes.append(f"{topic} does not name what it tracks: taken as the camera's own optical frame")
+    return Poses(_merged(tuple(links)), topic, up=_up(last.parent))
+
+
+def _trajectory(edge: Edge) -> Trajectory:
+    """Also of poses that never change: then the camera stood still for as long as they were heard."""
+    motion = edge.motion()
+    if isinstance(motion, Trajectory):
+        return motion
+    stamps, first = np.unique(np.frombuffer(edge.stamps_ns, np.int64), return_index=True)
+    values = np.frombuffer(edge.values, np.float64).reshape(-1, 7)[first]
+    return Trajectory(stamps, values[:, :3], values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True))
+
+
+def _of_last(container: Container, topic: str) -> tuple[int, int]:
+    """A window of log time that holds a topic's last message."""
+    times = container.log_times(topic)
+    if times is None:
+        for message in container.messages([topic], container.start_ns, container.stop_ns):
+            if isinstance(message, Message):
+                times = np.array([message.log_ns], np.int64)
+    last = int(times[-1]) if times is not None and times.size else container.start_ns
+    return last, last + 1
+
+
+def _placed(
+    container: Container, topics: list[str], start_ns: int, stop_ns: int, left_out: list[Skipped]
+) -> Iterator[Placed]:
+    if not topics:
+        return
+    for message in container.messages(topics, start_ns, stop_ns):
+        if isinstance(message, Skipped):
+            left_out.append(message)
+            continue
+        try:
+            content = message.decode()
+            yield from transforms_of(content) if message.topic.type in TRANSFORMS else poses_of(content)
+        except (MessageError, AttributeError) as e:
+            reason = str(e) if isinstance(e, MessageError) else "message lacks a field"
+            left_out.append(Skipped(message.log_ns, f"{message.topic.name} {message.ordinal}", reason))
+
+
+def _merged(links: tuple[Link, ...]) -> tuple[Link, ...]:
+    """The same chain with neighbouring still links multiplied."""
+    out: list[Link] = []
+    for link in links:
+        if out and not isinstance(link.motion, Trajectory) and not isinstance(out[-1].motion, Trajectory):
+            product = [x.at(0, 0, PLAIN) for x in (out.pop(), link)]
+            assert product[0] is not None
+            assert product[1] is not None
+            link = Link(product[0] @ product[1])
+        out.append(link)
+    return tuple(out)
+
+
+def _up(world: str) -> str:
+    """REP 103: z points up, but in an optical frame, where y points down."""
+    with suppress(ValueError):
+        world.index("optical")
+        return "-y"
+    return "+z"

@@ -1,0 +1,1 @@
+"""What `doctor` examines: one family of checks a file, each a function from a case to findings and evidence."""

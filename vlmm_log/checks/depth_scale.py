@@ -1,0 +1,78 @@
+"""Whether stored depth is read with the right units: by the sensor's own steps, and by what is plausible."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vlmm_log.checks.case import Case
+from vlmm_log.checks.report import Evidence, Finding, Told
+from vlmm_log.types import Int64
+
+UNITS = (1000.0, 5000.0, 10000.0, 1.0)  # stored values of a metre that are in use
+# A structured-light sensor tells depth by disparity in steps of 1/8 px, so its steps grow with z^2:
+# step = z^2 / (8 f b). Khoshelham and Oude Elberink, Sensors 2012: 1 / (f b) = 2.85e-5 / cm -> 0.00285 / m.
+KINECT_STEP = 0.00287  # 1/m
+AGREE = 0.2  # an estimate within this share of known units means them
+SPREAD = 0.3  # estimates at several depths that differ by more are no ruler
+COARSE = 2.5  # stored values; finer steps may be rounding
+PLAUSIBLE_M = (0.15, 12.0)  # median depth of a log
+USUAL_M = 2.0
+USABLE = 0.5  # share of seen depth within read.depth_min_m and depth_max_m
+
+
+def check_depth_scale(case: Case) -> Told:
+    """Units of depth. Says nothing of logs whose depth is in metres already."""
+    samples, units = case.samples, case.log.units_per_meter
+    if not samples.seen:
+        return
+    seen = float(np.median(samples.seen))
+    if seen == 0:
+        remedy = "record or export depth again: there is none in the images"
+        yield Finding("depth coverage", "depth images are 0 all over", remedy, {"seen_share": 0.0})
+        return
+    yield Evidence("depth coverage", f"{seen:.0%} of the pixels have depth", {"seen_share": seen})
+    yield from _scale(case, units)
+
+
+def _scale(case: Case, units: float) -> Told:
+    low, high = case.read.depth_min_m, case.read.depth_max_m
+    metres = float(np.nanmedian(case.samples.metres))
+    ruler = kinect_units(case.samples.stored)
+    known = None if ruler is None else min(UNITS, key=lambda u: abs(np.log(u / ruler)))
+    figures = {"median_m": metres, "units_per_meter": units, "units_by_steps": ruler or np.nan}
+    if known is not None and ruler is not None and abs(ruler / known - 1) < AGREE:
+        text = f"depth steps grow with its square as a Kinect's at {ruler:.0f} per metre"
+        if abs(known / units - 1) < AGREE:
+            yield Evidence("depth scale", f"{text}; read as {units:g}", figures)
+        else:
+            remedy = f"--set read.depth_units_per_meter={known:g}"
+            yield Finding("depth scale", f"{text}, but are read as {units:g}", remedy, figures)
+        return
+    if PLAUSIBLE_M[0] < metres < PLAUSIBLE_M[1] and low < metres < high:
+        text = f"median depth {metres:.2f} m is plausible; the images have no ruler that tells more"
+        yield Evidence("depth scale", text, figures)
+        return
+    better = min(UNITS, key=lambda u: abs(np.log(metres * units / u / USUAL_M)))
+    text = f"median depth would be {metres:.3g} m at {units:g} per metre"
+    yield Finding("depth scale", text, f"--set read.depth_units_per_meter={better:g}", figures)
+
+
+def kinect_units(stored: Int64) -> float | None:
+    """Stored value of one metre, by steps that grow with the square of depth; None where they do not.
+
+    ``stored`` (n,) counts how often each stored value occurs.
+    """
+    total = np.cumsum(stored)
+    if total[-1] < 10_000:
+        return None
+    estimates = []
+    for share in (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8):
+        low = int(np.searchsorted(total, share * total[-1]))
+        window = stored[low : int(low * 1.12) + 1]
+        values = np.flatnonzero(window >= 0.1 * window.max())
+        if values.size < 6 or (step := float(np.mean(np.diff(values)))) < COARSE:
+            continue
+        estimates.append(KINECT_STEP * (low + float(values.mean())) ** 2 / step)
+    if len(estimates) < 3 or np.ptp(np.log(estimates)) > 2 * SPREAD:
+        return None
+    return float(np.median(estimates))

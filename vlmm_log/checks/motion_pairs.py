@@ -1,0 +1,70 @@
+"""Pairs whose own motion is known: what poses and cameras are judged by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vlmm_log import se3
+from vlmm_log.checks.case import Case
+from vlmm_log.checks.probe import FEWEST, Probe
+from vlmm_log.checks.rigid import error_px, fit
+from vlmm_log.types import Float64
+
+EXPLAINED_PX = 2.5  # a pair whose best rigid motion leaves more is dynamic, or its depth is wrong
+MOVING_PX = 4.0  # a pair with less flow does not tell conventions apart
+
+
+@dataclass(frozen=True, eq=False)
+class MotionPair:
+    """A pair and the motion that its own matches show."""
+
+    probe: Probe
+    T: Float64  # (4, 4) T_second_first
+    left_px: float  # median error that it leaves
+
+
+def motion_pairs(case: Case) -> list[MotionPair]:
+    """Pairs with enough matches that one rigid motion explains under the log's camera."""
+    found = []
+    for probe in case.samples.probes:
+        if len(probe.z_a) < FEWEST:
+            continue
+        T = fit(probe, case.log.camera.K, np.eye(4))
+        left = error_px(probe, T, case.log.camera.K)
+        if left < max(EXPLAINED_PX, 0.1 * probe.moved_px):
+            found.append(MotionPair(probe, T, left))
+    return found
+
+
+def moving(pairs: list[MotionPair]) -> list[MotionPair]:
+    """Those whose images move."""
+    return [p for p in pairs if p.probe.moved_px >= MOVING_PX]
+
+
+def flow_px(probe: Probe, T: Float64, K: Float64) -> float:
+    """Median displacement px that a motion predicts for a pair's matches."""
+    rays = np.column_stack([(probe.x_a - K[:2, 2]) / np.diag(K)[:2], np.ones(len(probe.z_a))])
+    at = rays * probe.z_a[:, None] @ T[:3, :3].T + T[:3, 3]
+    predicted = at[:, :2] / np.maximum(at[:, 2], 1e-3)[:, None] * np.diag(K)[:2] + K[:2, 2]
+    return float(np.median(np.linalg.norm(predicted - probe.x_a, axis=1)))
+
+
+def carried(pairs: list[tuple[Float64, Float64]]) -> Float64 | None:
+    """The camera's pose (4, 4) in the tracked frame from pairs of motions of camera and tracked frame; None if open.
+
+    A X = X B, the hand-eye problem: the rotation by Kabsch on the rotation vectors, the position by least squares.
+    Park and Martin, IEEE Trans. Robotics and Automation 1994.
+    """
+    cameras, trackers = (np.array([se3.log(p[k])[:3] for p in pairs]) for k in (0, 1))
+    spread = np.linalg.svd(cameras, compute_uv=False)
+    if len(pairs) < 3 or spread[1] < 0.2 * spread[0] or spread[1] < 0.02:
+        return None  # one axis alone leaves the turn about it open
+    X = np.eye(4)
+    U, _, Vt = np.linalg.svd(trackers.T @ cameras)
+    X[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    left = np.concatenate([B[:3, :3] - np.eye(3) for _, B in pairs])
+    right = np.concatenate([X[:3, :3] @ A[:3, 3] - B[:3, 3] for A, B in pairs])
+    X[:3, 3] = np.linalg.lstsq(left, right, rcond=1e-3)[0]
+    return X

@@ -1,0 +1,195 @@
+"""What commands print: tables and lines for people, reports for scripts. No label can steer the terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from vlmm_log.api import Processed
+    from vlmm_log.ask import Found
+    from vlmm_log.conversion import Converted
+    from vlmm_log.diagnosis import Diagnosis
+    from vlmm_log.survey import Info
+
+
+def run_report(done: Processed) -> dict[str, object]:
+    """The closing figures of a run for scripts."""
+    return {
+        "source": done.run.source,
+        "reader": done.run.reader,
+        "notes": [*done.run.notes, *done.end.told],
+        "complete": done.end.complete,
+        "input_hash": done.end.input_hash,
+        "frames": done.end.frames,
+        "outputs": [str(path) for path in done.outputs],
+        "figures": done.summary.figures(),
+        "elements": _elements_line(done),
+        "answers": [
+            {"query": a.text, "matches": a.matches, "ids": a.ids.tolist(), "reasons": list(a.reasons)}
+            for a in done.answers
+        ],
+        "skipped": dict(done.summary.skipped),
+        "versions": done.run.versions,
+    }
+
+
+def printable(text: str) -> str:
+    """A label as a terminal may show it: control and direction characters as escapes."""
+    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in text)
+
+
+def print_answer(found: Found, limit: int, explain: bool) -> None:
+    """What a query found."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(markup=False)
+    answer, elements = found.answer, found.elements
+    if explain:
+        console.print(answer.explanation, highlight=False)
+    if answer.returns == "count":
+        console.print(str(answer.matches), highlight=False)
+    elif not answer.matches:
+        console.print(f"nothing in {len(elements)} elements answers {answer.text!r}", highlight=False)
+    if answer.matches:
+        table = Table(title=Text(f"{answer.matches} of {len(elements)} elements"), title_justify="left")
+        for name in ("id", "label", "class", "score", "position m", "why"):
+            table.add_column(name, overflow="fold")
+        for row in found.report(limit)["answers"]:
+            place = " ".join(f"{x:.2f}" for x in row["position"])
+            cells = (row["id"], row["label"], row["motion_class"], f"{row['score']:.2f}", place, row["reason"])
+            table.add_row(*(Text(printable(str(cell))) for cell in cells))
+        console.print(table)
+    if answer.returns == "mask" and not found.outputs:
+        console.print("asks for where: --masks FOLDER or --rrd F writes the pixels", highlight=False)
+    for told in found.told:
+        console.print(f"  {told}", highlight=False)
+    for path in found.outputs:
+        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
+ROWS = {  # figure -> what the table calls it, how it is written
+    "pairs": ("pairs", "{:.0f}"),
+    "unreliable_pairs": ("pairs with unreliable ego-motion", "{:.0f}"),
+    "coverage": ("coverage (pixels scored)", "{:.1%}"),
+    "flagged_share": ("flagged (d_M above tau_px)", "{:.2%}"),
+    "static_d_m2_median": ("d_M^2 median (2.366 expected of a still world)", "{:.2f}"),
+    "calibrating_noise_scale": ("noise.scale that would make it 2.366", "{:.2f}"),
+    "residual_median_m": ("residual median", "{:.4f} m"),
+    "instances": ("instances a frame", "{:.0f}"),
+    "ego_inlier_share": ("ego-refinement inliers", "{:.1%}"),
+    "flow_ms": ("flow", "{:.1f} ms"),
+    "matches_ms": ("noise of the matches", "{:.1f} ms"),
+    "ego_ms": ("ego-refinement", "{:.1f} ms"),
+    "motion_ms": ("motion channel", "{:.1f} ms"),
+    "segments_ms": ("segmenter", "{:.1f} ms"),
+    "embed_ms": ("embedder", "{:.1f} ms"),
+    "aggregate_ms": ("observations", "{:.1f} ms"),
+    "associate_ms": ("association", "{:.1f} ms"),
+    "map_ms": ("map and fusion", "{:.1f} ms"),
+}
+
+
+def _elements_line(done: Processed) -> str:
+    from collections import Counter
+
+    classes = Counter(e.motion_class.name.lower() for e in done.map.world.elements.values())
+    moved = sum(len(e.intervals) > 0 for e in done.map.world.elements.values())
+    counts = ", ".join(f"{n} {name}" for name, n in sorted(classes.items()))
+    return f"{len(done.map.world.elements)} elements: {counts or 'none'}; {moved} seen to move at some time"
+
+
+def print_run(done: Processed) -> None:
+    """The closing figures of a run."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(markup=False)  # names may hold brackets
+    title = Text(f"{done.run.source} ({done.run.reader}), medians over pairs")
+    table = Table(title=title, title_justify="left")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    figures = done.summary.figures()
+    for name, (label, form) in ROWS.items():
+        if name in figures:
+            table.add_row(label, form.format(figures[name]))
+    for reason, count in sorted(done.summary.skipped.items()):
+        table.add_row(Text(f"noted: {reason}"), str(count))
+    console.print(table)
+    console.print(_elements_line(done), highlight=False)
+    for found in done.answers:
+        names = ", ".join(f"{i} {done.map.world.elements[i].label}".strip() for i in found.ids[:10].tolist())
+        names = printable(names)
+        console.print(f"{found.text!r}: {found.matches} of the map's elements{': ' if names else ''}{names}")
+    for note in (*done.run.notes, *done.end.told):
+        console.print(f"  {note}", highlight=False)
+    for path in done.outputs:
+        size = path.stat().st_size / 1e6
+        state = "" if done.end.complete else " (interrupted: readable up to the last pair)"
+        console.print(f"wrote {path}{state}, {size:.1f} MB", highlight=False, soft_wrap=True)
+    if not done.end.complete and not done.outputs:
+        console.print("interrupted before the first pair: nothing was kept")
+
+
+def print_info(told: Info) -> None:
+    """What a log holds."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(markup=False)
+    streams = Table(title=Text(f"{printable(told.source)} ({told.reader})"), title_justify="left")
+    for name, side in (("", "left"), ("stream", "left"), ("type", "left"), ("count", "right"), ("Hz", "right")):
+        streams.add_column(name, justify=side, overflow="fold")  # type: ignore[arg-type]
+    streams.add_column("longest gap", justify="right")
+    for x in told.streams:
+        cells = (x.role, printable(x.name), x.type, _known(x.count), _known(x.rate_hz, "{:.2f}"))
+        streams.add_row(*(Text(cell) for cell in (*cells, _known(x.longest_gap_s, "{:.3f} s"))))
+    console.print(streams)
+    lines = [f"about {told.frames} frames in {told.span_s:.1f} s"]
+    if told.first is None:
+        lines.append("no frame could be read: `vlmm-log doctor` looks for the reason")
+    else:
+        f = told.first
+        lines.append(
+            f"first frame {f.width}x{f.height} at {f.stamp_ns} ns, {f.depth_seen:.0%} of its pixels with depth, "
+            f"median {f.depth_median_m:.2f} m"
+        )
+    lines.append(f"poses: {told.poses or 'none'}")
+    lines += told.notes
+    lines += [f"noted: {reason}, {count} times" for reason, count in sorted(told.skipped.items())]
+    lines += [f"for {role}, best first: {'; '.join(c)}" for role, c in told.candidates.items() if len(c) > 1]
+    for line in lines:
+        console.print(f"  {printable(line)}", highlight=False)
+
+
+def _known(value: float | None, form: str = "{}") -> str:
+    return "" if value is None or value != value else form.format(value)
+
+
+def print_diagnosis(diagnosis: Diagnosis) -> None:
+    """Findings with their remedies, then what was examined."""
+    from rich.console import Console
+
+    console = Console(markup=False)
+    for finding in diagnosis.findings:
+        console.print(f"FOUND {finding.check}: {printable(finding.message)}", highlight=False)
+        console.print(f"      mend it: {printable(finding.remedy)}", highlight=False, soft_wrap=True)
+    for seen in diagnosis.evidence:
+        console.print(f"  {seen.check}: {printable(seen.message)}", highlight=False)
+    if not diagnosis.findings:
+        console.print("nothing found that contradicts the data", highlight=False)
+
+
+def print_converted(done: Converted) -> None:
+    """What was written."""
+    from rich.console import Console
+
+    console = Console(markup=False)
+    for name, count in done.counts.items():
+        console.print(f"  {printable(name)}: {count}", highlight=False)
+    for line in (*done.notes, *(f"noted: {reason}, {n} times" for reason, n in sorted(done.skipped.items()))):
+        console.print(f"  {printable(line)}", highlight=False)
+    console.print(f"wrote {done.out}", highlight=False, soft_wrap=True)

@@ -1,0 +1,89 @@
+"""Folders written beside and renamed, so that no reader meets half of one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from vlmm_log.types import InputError
+
+LOGS = ("metadata.yaml", "rgb.txt")  # what the folders hold that may be replaced
+
+
+def claim_folder(path: Path, inputs: Iterable[Path], *, force: bool) -> None:
+    """Refuse before a long run what could not be written after it.
+
+    Raises InputError where the name is an input or holds one, is taken (without ``force``), or lies where no folder
+    can be made. With ``force`` too, only what is a log is replaced.
+    """
+    try:
+        full, partial = path.resolve(), _partial(path)
+        for source in (name.resolve() for name in inputs):
+            if source.is_relative_to(full) or source.is_relative_to(partial.resolve()):
+                raise InputError(f"{path}: is the input or holds it; name another folder")
+        for name in (path, partial):
+            _check_free(name, force=force)
+        there = next(parent for parent in full.parents if parent.exists())
+    except (OSError, ValueError) as e:
+        raise InputError(f"{path!s}: cannot be written: {e}; name another folder") from e
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise InputError(f"{path}: cannot be written: no folders can be made in {there}")
+
+
+@contextmanager
+def replacing_folder(path: Path) -> Iterator[Path]:
+    """A folder of the same name to make and fill, in ``NAME.partial``. It takes the place of ``path`` in the end.
+
+    If the block fails, it is removed and nothing is replaced. ``path`` was claimed before. Raises InputError where
+    the disk refuses.
+    """
+    partial = _partial(path)
+    staged = partial / path.resolve().name
+    try:
+        try:
+            _remove(partial)
+            partial.mkdir(parents=True)
+            yield staged
+            _put(staged, path, partial / "replaced")
+        finally:
+            _remove(partial)
+    except OSError as e:
+        raise InputError(f"{path}: cannot be written: {e.strerror or e}; nothing was replaced") from e
+
+
+def _put(staged: Path, path: Path, aside: Path) -> None:
+    """Rename one folder to the place of another one, which is put aside, and back if that fails."""
+    if not path.exists():
+        staged.replace(path)
+        return
+    path.replace(aside)
+    try:
+        staged.replace(path)
+    except OSError:
+        aside.replace(path)
+        raise
+
+
+def _partial(path: Path) -> Path:
+    full = path.resolve()
+    return path.parent / (full.name + ".partial") if path.name else full.with_name(full.name + ".partial")
+
+
+def _check_free(path: Path, *, force: bool) -> None:
+    if path.is_file():
+        raise InputError(f"{path}: is a file; name a folder")
+    if not path.is_dir() or not any(path.iterdir()):
+        return
+    if not force:
+        raise InputError(f"{path}: exists; give --force to replace it")
+    ours = path.name.endswith(".partial")
+    if not ours and not any((path / name).is_file() for name in LOGS):
+        raise InputError(f"{path}: is a folder that holds no log, so it is not replaced; name another one")
+
+
+def _remove(path: Path) -> None:
+    if path.exists():
+        shutil.rmtree(path)
