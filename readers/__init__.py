@@ -10,11 +10,15 @@ from pathlib import Path
 from vlmm_log.protocols import Log, Reader
 from vlmm_log.readers.bag.log import Bag
 from vlmm_log.readers.bonn import Bonn
+from vlmm_log.readers.plain import Icl, Plain
+from vlmm_log.readers.seven_scenes import SevenScenes
+from vlmm_log.readers.thor import Thor
 from vlmm_log.readers.tum import Tum
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import InputError
 
-READERS: tuple[Reader, ...] = (Bonn(), Tum(), Bag())
+READERS: tuple[Reader, ...] = (Bonn(), Icl(), Tum(), Bag(), Thor(), SevenScenes(), Plain())
+KINDS = "rgb.txt and depth.txt, rgb/ and depth/, frame-000000.color.png, .bag, .db3 or .mcap"
 
 
 def recognise(path: Path) -> Reader:
@@ -27,7 +31,7 @@ def recognise(path: Path) -> Reader:
     inside = sorted(p.name for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
     logs = [name for name in inside if any(reader.recognises(path / name) for reader in READERS)]
     hint = f"; it holds logs, take one: {', '.join(logs[:5])}" if logs else ""
-    raise InputError(f"{path}: no known kind of log (a TUM or Bonn folder holds rgb.txt and depth.txt){hint}")
+    raise InputError(f"{path}: no known kind of log ({KINDS}){hint}")
 
 
 def opened(source: str | Path | Log, s: ReadSettings) -> tuple[Log, str]:

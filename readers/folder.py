@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -43,7 +43,7 @@ class FolderLog:
     depth: Sequence[Row]
     pairs: Sequence[tuple[int, int]]  # rows of rgb and depth that belong together
     poses: Poses | None
-    left_out: Sequence[Skipped]  # rows that never became a frame
+    left_out: Sequence[Skipped]  # rows that never became an image or a pose
     notes: list[str] = field(default_factory=list)
     depth_camera: tuple[Intrinsics, Float64] | None = None
 
@@ -91,8 +91,9 @@ class FolderLog:
     def frames(self, start_ns: int, stop_ns: int) -> Iterator[Frame | Skipped]:
         """See protocols.Log. ``Frame.index`` is the row of the colour images' list in time order."""
         events: list[tuple[int, tuple[int, int] | Skipped]] = [(x.stamp_ns, x) for x in self.left_out]
+        events += [(x.stamp_ns, x) for x in self._alone()]
         events += [(self.depth[j].stamp_ns, (i, j)) for i, j in self.pairs]
-        assembly = Assembly(self.camera, self.units_per_meter, self.poses, self.s)
+        assembly = Assembly(self.camera, self.units_per_meter, self.poses, self.s, self.depth_camera)
         for stamp_ns, event in sorted(events, key=lambda e: e[0]):
             after_start = stamp_ns - self.origin_ns >= start_ns
             if stamp_ns - self.origin_ns >= stop_ns:
@@ -105,11 +106,23 @@ class FolderLog:
 
     def shots(self, start_ns: int, stop_ns: int) -> Iterator[Shot | Skipped]:
         """See stored.StoredLog."""
-        shots = [self._shot("rgb", i) for i in range(len(self.rgb))]
+        shots: list[Shot | Skipped] = [self._shot("rgb", i) for i in range(len(self.rgb))]
         shots += [self._shot("depth", j) for j in range(len(self.depth))]
-        for shot in sorted(shots, key=lambda x: (x.stamp_ns, x.kind)):
-            if start_ns <= shot.stamp_ns - self.origin_ns < stop_ns:
+        for shot in sorted([*shots, *self.left_out], key=lambda x: x.stamp_ns):
+            since = shot.stamp_ns - self.origin_ns
+            if since < stop_ns and (start_ns <= since or (start_ns <= 0 and isinstance(shot, Skipped))):
                 yield shot
+
+    def _alone(self) -> Iterator[Skipped]:
+        """Images without a partner."""
+        for rows, used, partner in (
+            (self.rgb, {i for i, _ in self.pairs}, "depth"),
+            (self.depth, {j for _, j in self.pairs}, "colour"),
+        ):
+            reason = f"no {partner} image within {self.s.association_s:g} s"
+            for k, row in enumerate(rows):
+                if k not in used:
+                    yield Skipped(row.stamp_ns, row.rest, reason, k if rows is self.rgb else None)
 
     def _shot(self, kind: Kind, k: int) -> Shot:
         row = self.rgb[k] if kind == "rgb" else self.depth[k]
@@ -146,17 +159,13 @@ def associated(
             f"{path}: no colour image within {s.association_s} s of a depth image; "
             "check the stamps or raise --set read.association_s"
         )
-    lost = list(left_out)
-    for rows, used, partner in ((rgb, {i for i, _ in pairs}, "depth"), (depth, {j for _, j in pairs}, "colour")):
-        reason = f"no {partner} image within {s.association_s:g} s"
-        for k, row in enumerate(rows):
-            if k not in used:
-                lost.append(Skipped(row.stamp_ns, row.rest, reason, k if rows is rgb else None))
+    origin_ns = depth[pairs[0][1]].stamp_ns
+    told = [replace(x, stamp_ns=x.stamp_ns or origin_ns) for x in left_out]  # what has no time of its own
     notes = Assembly(camera, units, poses, s).notes()
     notes.append("no poses" if poses is None else f"{poses.stamps_ns.size} poses from {poses.source}")
-    notes.append(f"{len(pairs)} of {len(rgb)} colour images have depth, the first at {depth[pairs[0][1]].stamp_ns} ns")
+    notes.append(f"{len(pairs)} of {len(rgb)} colour images have depth, the first at {origin_ns} ns")
     name = path.resolve().name.encode("utf-8", "backslashreplace").decode()
-    return FolderLog(name, path, camera, units, s, rgb, depth, pairs, poses, lost, notes)
+    return FolderLog(name, path, camera, units, s, rgb, depth, pairs, poses, told, notes)
 
 
 def _read(folder: Path, name: str) -> StoredImage:

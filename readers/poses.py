@@ -109,5 +109,10 @@ def trajectory(stamps_ns: Sequence[int], values: Sequence[Float64]) -> Trajector
     if not len(stamps_ns):
         return None
     table = np.array(values)
-    quaternions = table[:, 3:] / np.linalg.norm(table[:, 3:], axis=1, keepdims=True)
-    return Trajectory(np.array(stamps_ns, np.int64), table[:, :3], quaternions)
+    return Trajectory(np.array(stamps_ns, np.int64), table[:, :3], unit(table[:, 3:]))
+
+
+def unit(quaternions: Float64) -> Float64:
+    """Quaternions (N, 4) scaled to unit length. Those that are so to the last bits stay: read once, they read back."""
+    norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.asarray(np.where(np.abs(norms - 1) < 1e-15, quaternions, quaternions / norms))

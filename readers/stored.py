@@ -67,8 +67,8 @@ class Stream:
 def stream(name: str, type_: str, role: str, stamps_ns: Int64) -> Stream:
     """A stream of known stamps, ascending."""
     gap = float(np.diff(stamps_ns).max()) / 1e9 if stamps_ns.size > 1 else math.nan
-    ends = (int(stamps_ns[0]), int(stamps_ns[-1])) if stamps_ns.size else (None, None)
-    return Stream(name, type_, role, int(stamps_ns.size), *ends, gap)
+    first_ns, last_ns = (int(stamps_ns[0]), int(stamps_ns[-1])) if stamps_ns.size else (None, None)
+    return Stream(name, type_, role, int(stamps_ns.size), first_ns, last_ns, gap)
 
 
 class StoredLog(Log, Protocol):

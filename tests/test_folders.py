@@ -4,12 +4,12 @@ import shutil
 
 import cv2
 import numpy as np
-import own_reader
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+import own_reader
 import vlmm_log
 from tum_folder import ORIGIN_NS, png, rows, text_of
 from vlmm_log import se3

@@ -388,7 +388,7 @@ def test_given_intrinsics_that_cannot_be_used(tum_folder, text):
     [
         ({"rgb.txt": None}, [], "rgb.txt: not found"),
         ({"depth.txt": None}, [], "depth.txt: not found"),
-        ({"rgb.txt": None, "depth.txt": None}, [], "no known kind of log"),
+        ({"rgb.txt": None, "depth.txt": None, "rgb": None}, [], "no known kind of log"),
         ({"rgb.txt": ""}, [], "rgb.txt: lists no image"),
         ({"depth.txt": "# nothing\n\n"}, [], "depth.txt: lists no image"),
         ({"depth.txt": b"\xff\x00\x89PNG"}, [], "depth.txt: cannot be read"),

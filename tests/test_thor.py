@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-import record_ai2thor
 from hypothesis import given
 from hypothesis import strategies as st
 
+import record_ai2thor
 from vlmm_log import se3
 from vlmm_log.models.masks import Masks
 from vlmm_log.readers.plain import Plain

@@ -1,5 +1,7 @@
 """Tiny logs in TUM layout: plain functions with keyword options."""
 
+import shutil
+
 import cv2
 import numpy as np
 
@@ -41,7 +43,7 @@ def write_tum_folder(
 
     Depth image k lies at ORIGIN_NS + k step_ns, its colour image offset_ns later. ``camera`` and
     ``groundtruth`` are texts (None: no such file). ``files`` maps names to what is written in the end: bytes,
-    text, or None to remove the file.
+    text, or None to remove the file or folder.
     """
     width, height = size
     (folder / "rgb").mkdir(parents=True)
@@ -60,7 +62,7 @@ def write_tum_folder(
     texts = {"camera.txt": camera, "groundtruth.txt": groundtruth}
     for name, content in [*((n, t) for n, t in texts.items() if t is not None), *dict(files).items()]:
         if content is None:
-            (folder / name).unlink()
+            shutil.rmtree(folder / name) if (folder / name).is_dir() else (folder / name).unlink()
         else:
             (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
     return folder

@@ -77,9 +77,7 @@ def process(
         _check_map_name(map_target)
     claim([path for path in (target, map_target) if path is not None], force=force, inputs=inputs)
     models, of_models = load_models(s)
-    run = Run(
-        log.name, reader, s.to_toml(), _versions() | of_models, log.has_poses, log.world_up, tuple(log.notes)
-    )
+    run = Run(log.name, reader, s.to_toml(), _versions() | of_models, log.has_poses, log.world_up, tuple(log.notes))
     summary = Summary(noise_scale=s.noise.scale)
     recordings = [] if target is None else [_recording(target, run, s)]
     told = None if progress is None else partial(_tell, progress, expected)

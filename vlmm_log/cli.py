@@ -69,7 +69,8 @@ def _settings(
     """Settings of a command's options, those that were given."""
     from vlmm_log.settings import Settings
 
-    options = {"read.topics": topics, "read.intrinsics": intrinsics, "read.start_s": start, "read.stop_s": stop}
+    options: dict[str, object] = {"read.topics": topics, "read.intrinsics": intrinsics}
+    options |= {"read.start_s": start, "read.stop_s": stop}
     options |= {name.replace("__", "."): value for name, value in others.items()}
     return Settings.load(profile, toml, sets, {name: value for name, value in options.items() if value is not None})
 
@@ -204,9 +205,7 @@ def doctor(
 @cli.command(epilog="Examples: vlmm-log convert rgbd_dataset_freiburg1_xyz xyz.mcap; vlmm-log convert walking.bag tum/")
 @reads_a_log
 @click.argument("out", type=click.Path(path_type=Path))
-@click.option(
-    "--to", help="mcap, bag, ros2, ros2-mcap or tum; if not given, by OUT's name."
-)
+@click.option("--to", help="mcap, bag, ros2, ros2-mcap or tum; if not given, by OUT's name.")
 @click.option("--compressed", is_flag=True, help="Encoded colour and compressedDepth instead of bare pixels.")
 @click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")

@@ -15,6 +15,8 @@ from vlmm_log.readers.conventions import PLAIN
 from vlmm_log.readers.poses import Link, Poses, Trajectory, usable_pose
 from vlmm_log.types import InputError, Skipped
 
+WORLDS = ("world", "map", "odom", "earth")  # REP 105, and what trackers call theirs
+
 
 def read_tree(container: Container, start_ns: int, stop_ns: int, left_out: list[Skipped]) -> Tree:
     """The tree of frames: /tf_static of the whole log, /tf of a window of log time."""
@@ -48,8 +50,10 @@ def _of_tree(container: Container, tree: Tree, frame: str, world: str) -> Poses 
     links = tree.chain(root, frame)
     if links is None:
         raise InputError(f"{container.path}: no transforms join {root!r} and the camera's frame {frame!r}")
-    if not any(isinstance(link.motion, Trajectory) for link in links) and not world:
-        return None  # a tree of still frames says nothing of where the camera went
+    if not any(isinstance(link.motion, Trajectory) for link in links):
+        if root not in WORLDS and not world:
+            return None  # a robot's own still frames say nothing of where the camera went
+        links = tree.chain(root, frame, Edge.trajectory) or ()  # it stood still, for as long as that was said
     path = tree.ancestors(frame)
     named = path[: path.index(root) + 1][::-1] if root in path else [root, "...", frame]
     return Poses(_merged(links), f"tf, {' -> '.join(named)}", up=_up(root))
@@ -77,7 +81,7 @@ def _of_topic(
         last = placed
     if last is None:
         return None
-    links = [Link(_trajectory(edge))]
+    links = [Link(edge.trajectory())]
     if last.child and last.child != frame:
         rest = tree.chain(last.child, frame)
         if rest is None:
@@ -86,16 +90,6 @@ def _of_topic(
     elif not last.child:
         notes.append(f"{topic} does not name what it tracks: taken as the camera's own optical frame")
     return Poses(_merged(tuple(links)), topic, up=_up(last.parent))
-
-
-def _trajectory(edge: Edge) -> Trajectory:
-    """Also of poses that never change: then the camera stood still for as long as they were heard."""
-    motion = edge.motion()
-    if isinstance(motion, Trajectory):
-        return motion
-    stamps, first = np.unique(np.frombuffer(edge.stamps_ns, np.int64), return_index=True)
-    values = np.frombuffer(edge.values, np.float64).reshape(-1, 7)[first]
-    return Trajectory(stamps, values[:, :3], values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True))
 
 
 def _of_last(container: Container, topic: str) -> tuple[int, int]:

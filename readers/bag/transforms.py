@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from vlmm_log import se3
 from vlmm_log.readers.bag.messages import Placed
-from vlmm_log.readers.poses import Link, Trajectory, trajectory, usable_pose
+from vlmm_log.readers.poses import Link, Trajectory, unit, usable_pose
 from vlmm_log.types import Float64
 
 
@@ -26,17 +27,18 @@ class Edge:
         self.stamps_ns.append(placed.stamp_ns)
         self.values.extend(placed.values)
 
+    def trajectory(self) -> Trajectory:
+        """All of it in time order, of each stamp the first."""
+        stamps, first = np.unique(np.frombuffer(self.stamps_ns, np.int64), return_index=True)
+        values = np.frombuffer(self.values, np.float64).reshape(-1, 7)[first]
+        return Trajectory(stamps, values[:, :3], unit(values[:, 3:]))
+
     def motion(self) -> Trajectory | Float64:
-        """A trajectory in time order, of each stamp the first; one transform (4, 4) where it never changes."""
-        stamps = np.frombuffer(self.stamps_ns, np.int64)
+        """A trajectory; one transform (4, 4) where it never changes."""
         values = np.frombuffer(self.values, np.float64).reshape(-1, 7)
-        if (values == values[0]).all():
-            q = values[0, 3:] / np.linalg.norm(values[0, 3:])
-            return se3.from_quaternion(values[0, :3], q)
-        stamps, first = np.unique(stamps, return_index=True)
-        found = trajectory(stamps.tolist(), list(values[first]))
-        assert found is not None
-        return found
+        if (values != values[0]).any():
+            return self.trajectory()
+        return se3.from_quaternion(values[0, :3], unit(values[:1, 3:])[0])
 
 
 @dataclass
@@ -73,14 +75,16 @@ class Tree:
             line.append(above[0])
         return line
 
-    def chain(self, to: str, frame: str) -> tuple[Link, ...] | None:
-        """Links whose product is ``T_to_frame``; None where the tree does not join the two."""
+    def chain(
+        self, to: str, frame: str, motion: Callable[[Edge], Trajectory | Float64] = Edge.motion
+    ) -> tuple[Link, ...] | None:
+        """Links whose product is ``T_to_frame``, each edge read by ``motion``; None where the tree joins them not."""
         up, down = self.ancestors(to), self.ancestors(frame)
         meeting = next((name for name in up if name in down), None)
         if meeting is None:
             return None
-        links = [self._link(name, inverse=True) for name in up[: up.index(meeting)]]
-        links += [self._link(name, inverse=False) for name in reversed(down[: down.index(meeting)])]
+        links = [Link(self._motion(name, motion), inverse=True) for name in up[: up.index(meeting)]]
+        links += [Link(self._motion(name, motion)) for name in reversed(down[: down.index(meeting)])]
         return tuple(links)
 
     def still_transform(self, to: str, frame: str) -> Float64 | None:
@@ -102,10 +106,10 @@ class Tree:
                 several[child] = [parent, *others]
         return [f"{child} has parents {', '.join(sorted(names))}" for child, names in sorted(several.items())]
 
-    def _link(self, child: str, inverse: bool) -> Link:
+    def _motion(self, child: str, motion: Callable[[Edge], Trajectory | Float64]) -> Trajectory | Float64:
         above = self.parent(child)
         assert above is not None
-        return Link(above[1].motion(), inverse)
+        return above[1].motion() if child in self.still else motion(above[1])
 
     def _usable(self, placed: Placed) -> bool:
         reason = usable_pose(placed.values)

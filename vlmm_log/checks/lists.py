@@ -15,7 +15,7 @@ from vlmm_log.types import Int64
 
 HOLES = 0.1  # share of a regular list that is missing
 REGULAR = 0.8  # share of intervals near a multiple of the period, without which a list has no period
-SHORTEST = 10  # rows, below which nothing is said of regularity
+SHORTEST = 6  # rows, below which nothing is said of regularity
 TOGETHER = 0.8  # share of images with a partner
 REPEATED = 0.02  # share of images that repeat an earlier one
 STILL_PX = 3.0  # median flow of a camera that stands still

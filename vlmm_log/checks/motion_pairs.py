@@ -15,6 +15,9 @@ from vlmm_log.types import Float64
 EXPLAINED_PX = 2.5  # a pair whose best rigid motion leaves more is dynamic, or its depth is wrong
 MOVING_PX = 4.0  # a pair with less flow does not tell conventions apart
 
+PLACE_PRIOR = 0.0025  # (1 cm of a pair's translation / 20 cm of a mounting's position)^2
+SECOND_AXIS, SECOND_RAD = 0.1, 0.02  # rotations about one axis alone leave a mounting's turn about it open
+
 
 @dataclass(frozen=True, eq=False)
 class MotionPair:
@@ -51,20 +54,22 @@ def flow_px(probe: Probe, T: Float64, K: Float64) -> float:
     return float(np.median(np.linalg.norm(predicted - probe.x_a, axis=1)))
 
 
-def carried(pairs: list[tuple[Float64, Float64]]) -> Float64 | None:
-    """The camera's pose (4, 4) in the tracked frame from pairs of motions of camera and tracked frame; None if open.
+def carried(pairs: list[tuple[Float64, Float64]]) -> tuple[Float64, Float64] | None:
+    """The camera's pose (4, 4) in the tracked frame, turned only, and also displaced; None where that stays open.
 
-    A X = X B, the hand-eye problem: the rotation by Kabsch on the rotation vectors, the position by least squares.
-    Park and Martin, IEEE Trans. Robotics and Automation 1994.
+    ``pairs`` are motions A of the camera and B of the tracked frame, X A = B X, the hand-eye problem: the rotation by
+    Kabsch on the rotation vectors, the position by least squares with a prior, since it is near to open along the axis
+    of most rotations. Park and Martin, IEEE Trans. Robotics and Automation 1994.
     """
     cameras, trackers = (np.array([se3.log(p[k])[:3] for p in pairs]) for k in (0, 1))
     spread = np.linalg.svd(cameras, compute_uv=False)
-    if len(pairs) < 3 or spread[1] < 0.2 * spread[0] or spread[1] < 0.02:
-        return None  # one axis alone leaves the turn about it open
-    X = np.eye(4)
+    if spread[1] < max(SECOND_AXIS * spread[0], SECOND_RAD):
+        return None
+    turned = np.eye(4)
     U, _, Vt = np.linalg.svd(trackers.T @ cameras)
-    X[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    turned[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     left = np.concatenate([B[:3, :3] - np.eye(3) for _, B in pairs])
-    right = np.concatenate([X[:3, :3] @ A[:3, 3] - B[:3, 3] for A, B in pairs])
-    X[:3, 3] = np.linalg.lstsq(left, right, rcond=1e-3)[0]
-    return X
+    right = np.concatenate([turned[:3, :3] @ A[:3, 3] - B[:3, 3] for A, B in pairs])
+    displaced = turned.copy()
+    displaced[:3, 3] = np.linalg.solve(left.T @ left + PLACE_PRIOR * np.eye(3), left.T @ right)
+    return turned, displaced

@@ -28,7 +28,7 @@ ROUND_TRIP_PX = 1.0  # a match that comes back farther away is none
 TEXTURE = 4.0  # least squared gradient along the weaker direction, grey levels^2/px^2
 EDGE = 0.03  # a match where the 3x3 depth range is a larger share of depth lies on an edge
 MOVED_PX = (6.0, 60.0)  # median flow that a pair should have: below, noise decides; above, matches get lost
-LONGEST = 24  # frames from one to the other
+FIRST_GAP, LONGEST = 3, 24  # frames from one to the other: at first, and at most
 FEWEST = 100  # matches of a pair that is relied on
 COUNTED = 65536  # stored depth values that are counted
 
@@ -67,7 +67,7 @@ class Samples:
 def places(timeline: Timeline) -> Int64:
     """Frame numbers, well spread, each with a later frame."""
     count = len(timeline.pairs)
-    ends = max(count - 4, 1)  # a pair is three frames apart at first
+    ends = max(count - FIRST_GAP - 1, 1)
     return np.unique(np.linspace(0, ends - 1, PLACES).round().astype(np.int64))
 
 
@@ -75,8 +75,9 @@ def sample(log: StoredLog, timeline: Timeline, flow: FlowEstimator, tell: Progre
     """Look at every place once. Memory is bounded by the frames around one place."""
     samples = Samples()
     at = places(timeline)
+    frames: dict[int, Frame] = {}
     for k, place in enumerate(at):
-        frames = _around(log, timeline, int(place), samples.left_out)
+        frames = _around(log, timeline, int(place), samples.left_out, frames)
         if int(place) in frames:
             _look(log, timeline, flow, int(place), frames, samples)
         tell(k + 1, len(at))
@@ -88,7 +89,7 @@ def distant_alignments(log: StoredLog, timeline: Timeline) -> list[Alignment]:
     found = []
     at = places(timeline)
     for place in at[:: max(1, len(at) // DISTANT_PLACES)]:
-        frames = _around(log, timeline, int(place), Counter(), DISTANT_NS, DISTANT)
+        frames = _around(log, timeline, int(place), Counter(), {}, DISTANT_NS, DISTANT)
         if int(place) in frames:
             found.append(_aligned(timeline, int(place), frames))
     return found
@@ -101,13 +102,22 @@ def _aligned(timeline: Timeline, place: int, frames: dict[int, Frame]) -> Alignm
 
 
 def _around(
-    log: StoredLog, timeline: Timeline, place: int, left_out: Counter[str], ns: int = AROUND_NS, most: int = AROUND
+    log: StoredLog,
+    timeline: Timeline,
+    place: int,
+    left_out: Counter[str],
+    known: dict[int, Frame],
+    ns: int = AROUND_NS,
+    most: int = AROUND,
 ) -> dict[int, Frame]:
-    """The frames near a place by their number."""
+    """The frames near a place by their number; those that are known already are not decoded again."""
     stamps = timeline.frame_ns
     near = np.flatnonzero(np.abs(stamps - stamps[place]) <= ns)
-    low, high = max(near[0], place - most), max(min(near[-1], place + most), place + 3)
-    return _frames(log, timeline, int(low), int(min(high, len(stamps) - 1)), left_out)
+    low = max(int(near[0]), place - most)
+    high = min(max(min(int(near[-1]), place + most), place + FIRST_GAP), len(stamps) - 1)
+    kept = {k: frame for k, frame in known.items() if low <= k <= high}
+    start = max([low, *(k + 1 for k in kept)])  # places ascend, and so do what is known and what is not
+    return kept if start > high else kept | _frames(log, timeline, start, high, left_out)
 
 
 def _frames(log: StoredLog, timeline: Timeline, low: int, high: int, left_out: Counter[str]) -> dict[int, Frame]:
@@ -148,8 +158,8 @@ def _probe(
 ) -> Probe | None:
     """The matches of a place with a later frame, so far away that something has moved but not out of sight."""
     stamps = timeline.colour_ns
-    gap, best, tried = 3, None, set[int]()
-    gap = min(gap, len(stamps) - 1 - place)
+    gap = min(FIRST_GAP, len(stamps) - 1 - place)
+    best, tried = None, set[int]()
     while 1 <= gap <= LONGEST and place + gap < len(stamps) and gap not in tried:
         tried.add(gap)
         second = place + gap

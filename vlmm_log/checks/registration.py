@@ -17,7 +17,7 @@ from vlmm_log.types import Float32, Float64
 # is left of their parallax lies there.
 USUAL_PX = (5.5, 3.5)
 NEAR_PX = (4.0, 2.0)  # the best shift so near to none is what a larger one must beat
-GAIN = 0.2  # of the correlation above its background that a shift or a delay must win
+GAIN_SHIFT, GAIN_DELAY = 0.1, 0.2  # of the correlation above its background that they must win
 MIRRORED = 2.0  # times the correlation as it is
 DELAYED_S = 0.04  # a shorter delay is within the usual stamping of two unsynchronised cameras
 MANY = 5  # places, from which on a lack of correlation is looked into
@@ -86,7 +86,7 @@ def _delay(case: Case, delays_s: dict[int, float], pooled: dict[int, Float32]) -
     gain = float((scores[best] - scores[own]) / scores[best])
     figures = {"delay_s": delay, "gain": gain, "correlation": float(scores[own])}
     text = f"depth edges meet colour edges {delay * 1e3:+.0f} ms later by their stamps"
-    if best != own and abs(delay) > DELAYED_S and gain > GAIN:
+    if best != own and abs(delay) > DELAYED_S and gain > GAIN_DELAY:
         offset = case.read.depth_offset_s - delay
         text = f"{text}: correlation {scores[best]:.2f} against {scores[own]:.2f}"
         yield Finding("depth clock", text, f"--set read.depth_offset_s={offset:.3f}", figures)
@@ -106,7 +106,7 @@ def _shift(case: Case, shifts: Float32) -> Told:
     text = f"depth edges lie best on colour edges moved by {dx:+.0f}, {dy:+.0f} px"
     if clear < CLEAR:
         yield Evidence("registration", "cannot tell: depth edges lie on no colour edges", figures)
-    elif (abs(dx) > USUAL_PX[0] or abs(dy) > USUAL_PX[1]) and gain > GAIN:
+    elif (abs(dx) > USUAL_PX[0] or abs(dy) > USUAL_PX[1]) and gain > GAIN_SHIFT:
         given = parse_shift(case.read.depth_shift_px)
         x, y = round(given[0] + dx), round(given[1] + dy)
         yield Finding("registration", text, f"--set read.depth_shift_px={x},{y}", figures)

@@ -27,6 +27,7 @@ BETTER = 0.6  # a candidate's error as a share of the present one, at most
 LEAST_PX = 1.0  # and it must win so much
 AGREEING = 0.75  # share of pairs on which it must win
 EACH_CHANGE = 0.05  # log error that each changed knob must win: of equals the simplest is taken
+EACH_PLACE = 0.15  # log error that a mounting's position must win: it is far less certain than its turn
 FEWEST_PAIRS = 3
 FEWEST_MOUNTED = 6  # pairs that a mounting of six numbers is told from
 UNEXPLAINED, UNEXPLAINED_PX = 0.35, 4.0  # share of the flow, and px, that poses leave which belong elsewhere
@@ -252,14 +253,15 @@ def relative(poses: Poses, pair: MotionPair, case: Case) -> Float64 | None:
 
 def _mounted(case: Case, poses: Poses, pairs: list[MotionPair]) -> Candidate | None:
     """The best reading with the camera mounted in the tracked frame as the pairs themselves say."""
-    found = []
+    found: list[tuple[float, Candidate]] = []
     for direction, order in product(("camera_to_world", "world_to_camera"), ("xyzw", "wxyz")):
         bare = (("camera_axes", "optical"), ("poses", direction), ("quaternion", order))
         tracked = candidate(case, poses, pairs, (*bare, ("pose_to_camera", "none"))).poses
         motions = [(p.T, T) for p in pairs if (T := relative(tracked, p, case)) is not None]
-        X = carried(motions) if len(motions) >= FEWEST_MOUNTED else None
-        if X is not None:
-            numbers = ",".join(f"{x:.5f}" for x in (*X[:3, 3], *se3.quaternion(X)))
-            named = [(name, value) for name, value in bare if getattr(case.read, name) != value]
-            found.append(candidate(case, poses, pairs, (*named, ("pose_to_camera", numbers))))
-    return min(found, key=lambda c: c.score, default=None)
+        mountings = carried(motions) if len(motions) >= FEWEST_MOUNTED else None
+        named = [(name, value) for name, value in bare if getattr(case.read, name) != value]
+        for k, X in enumerate(mountings or ()):
+            numbers = ",".join(f"{x:.4f}" for x in (*X[:3, 3], *se3.quaternion(X)))
+            tried = candidate(case, poses, pairs, (*named, ("pose_to_camera", numbers)))
+            found.append((tried.score + k * EACH_PLACE, tried))
+    return min(found, key=lambda x: x[0])[1] if found else None

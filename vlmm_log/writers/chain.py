@@ -10,10 +10,8 @@ import numpy as np
 
 from vlmm_log import se3
 from vlmm_log.readers.conventions import AXES, Convention
-from vlmm_log.readers.poses import Link, Poses, Trajectory, trajectory
+from vlmm_log.readers.poses import Link, Poses, Trajectory
 from vlmm_log.types import Float64, Skipped
-
-STEP, TRIES = 2.0**-24, 16384
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +21,7 @@ class Pose:
     stamp_ns: int  # of the images' clock
     link: int
     position: Float64  # (3,) m
-    quaternion: Float64  # (4,) x y z w, of unit length to 1e-3, nearly always to 1e-6: see listed()
+    quaternion: Float64  # (4,) unit, x y z w
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +63,7 @@ class Chain:
     def _resolved(self, stamp_ns: int) -> Pose | None:
         assert self.resolved is not None
         T = self.resolved.at(stamp_ns, self.gap_ns)
-        return None if T is None else Pose(stamp_ns, 0, T[:3, 3], listed(se3.quaternion(T)[None])[0])
+        return None if T is None else Pose(stamp_ns, 0, T[:3, 3], se3.quaternion(T))
 
 
 def as_links(poses: Poses, gap_ns: int) -> Chain:
@@ -95,34 +93,8 @@ def as_poses(poses: Poses, gap_ns: int) -> Chain:
     return Chain((), poses, gap_ns, poses.world_up, (told,))
 
 
-def listed(units: Float64) -> Float64:
-    """Quaternions (N, 4) which a reader that divides them by their length takes to exactly these of unit length.
-
-    A quotient's own length is 1 to a rounding only, so that dividing it once more changes the last bit of every
-    third. A factor from 1 on, by steps of 2^-24, is looked for that rounds back. It is below 1 + 1e-6 for all but one
-    in a thousand; about one in a million has none and stays as it is.
-    """
-    out = units.copy()
-    rest = np.arange(len(out))
-    for k in range(1, TRIES):
-        rest = rest[(_read(out[rest]) != units[rest]).any(axis=1)]
-        if not rest.size:
-            break
-        out[rest] = units[rest] * (1 + k * STEP)
-    out[rest] = units[rest]
-    return out
-
-
-def _read(quaternions: Float64) -> Float64:
-    if not len(quaternions):
-        return quaternions
-    found = trajectory(range(len(quaternions)), list(np.pad(quaternions, ((0, 0), (3, 0)))))
-    assert found is not None
-    return found.quaternions
-
-
 def _rows(link: int, track: Trajectory) -> Iterator[Pose]:
-    rows = zip(track.stamps_ns.tolist(), track.positions, listed(track.quaternions), strict=True)
+    rows = zip(track.stamps_ns.tolist(), track.positions, track.quaternions, strict=True)
     return (Pose(stamp_ns, link, x, q) for stamp_ns, x, q in rows)
 
 

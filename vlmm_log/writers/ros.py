@@ -14,7 +14,7 @@ from vlmm_log.readers.images import ImageError
 from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.readers.stored import Shot
 from vlmm_log.types import Float64, Skipped
-from vlmm_log.writers.chain import Chain, Pose, listed
+from vlmm_log.writers.chain import Chain, Pose
 from vlmm_log.writers.depth import MILLIMETRES
 from vlmm_log.writers.messages import CAMERA_INFO, END_NS, NUMBER, TRANSFORMS, Placed, Ros
 from vlmm_log.writers.recorders import Publication, Recorder
@@ -138,4 +138,4 @@ class RosLog:
 
 
 def _placed(parent: str, child: str, T: Float64) -> Placed:
-    return Placed(parent, child, T[:3, 3], listed(se3.quaternion(T)[None])[0])
+    return Placed(parent, child, T[:3, 3], se3.quaternion(T))
