@@ -2,7 +2,7 @@
 VENV ?= .venv
 PY := $(VENV)/bin/python
 
-.PHONY: demo test check bench router picture house clean
+.PHONY: demo test check bench twins doctor router picture house clean
 
 $(VENV)/.ready: pyproject.toml
 	python3 -m venv $(VENV)
@@ -29,6 +29,13 @@ check: $(VENV)/.ready house  ## lint, format, types
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	cd .house && $(abspath $(VENV))/bin/mypy --config-file ../pyproject.toml vlmm_log
+
+twins: $(VENV)/.ready  ## the same frames from every container, and what reading costs (needs the real slice)
+	$(PY) -m benchmarks.twins
+	$(PY) -m benchmarks.long_bags
+
+doctor: $(VENV)/.ready  ## precision and recall of the doctor on injected faults (needs the real slice)
+	$(PY) -m benchmarks.doctor
 
 bench: $(VENV)/.ready  ## speed as ratios, from one run
 	$(PY) -m benchmarks.kernels

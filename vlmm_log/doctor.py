@@ -21,15 +21,21 @@ from vlmm_log.types import InputError
 
 __all__ = ["Diagnosis", "Evidence", "Finding", "doctor"]
 
-CHECKS: tuple[Callable[[Case], Told], ...] = (  # each sees the log as the findings before it mend it
-    check_lists,
-    check_depth_scale,
-    check_plausible_camera,
-    check_registration,
-    check_trajectory,
-    check_camera,
-)
-STOPPING = ("mirrored depth", "depth coverage", "frames")  # after these, matches in space mean nothing
+CHECKS: dict[Callable[[Case], Told], str] = {  # each sees the log as the findings before it mend it
+    check_lists: "lists",
+    check_depth_scale: "depth scale",
+    check_plausible_camera: "intrinsics",
+    check_registration: "registration",
+    check_trajectory: "poses",
+    check_camera: "camera",
+}
+GEOMETRY = (check_registration, check_trajectory, check_camera)
+STOPPING = {  # what is not examined after a finding that only the user can mend: it would be told of its consequences
+    "frames": (check_depth_scale, check_plausible_camera, *GEOMETRY),
+    "depth coverage": GEOMETRY,
+    "mirrored depth": GEOMETRY,
+    "repeated images": (check_registration,),
+}
 WIDEST_S = 0.5  # between colour and depth where the settings' limit lets nothing together
 
 
@@ -42,9 +48,10 @@ def doctor(source: str | Path, *, settings: Settings | None = None, progress: Pr
     """
     path = Path(source)
     case, told = _opened(path, settings or Settings(), progress or _untold)
-    for check in CHECKS:
-        if any(isinstance(x, Finding) and x.check in STOPPING for x in told):
-            told.append(Evidence(check.__name__.removeprefix("check_"), "not examined: mend what was found first"))
+    for check, title in CHECKS.items():
+        stopping = [x.check for x in told if isinstance(x, Finding) and check in STOPPING.get(x.check, ())]
+        if stopping:
+            told.append(Evidence(title, f"not examined before this is mended: {stopping[0]}"))
             continue
         new = list(check(case))
         told += new

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -17,6 +17,8 @@ from vlmm_log.readers.stamps import LATEST_NS
 from vlmm_log.readers.stored import StoredLog, Stream
 from vlmm_log.settings import Settings
 from vlmm_log.types import Frame, InputError, Skipped
+
+FIRST_S = 1.0  # poses of a bag are read for so long only
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ def info(source: str | Path | Log, *, settings: Settings | None = None) -> Info:
     Raises InputError where the source cannot be opened, with what is missing.
     """
     s = settings or Settings()
-    log, reader = opened(source, s.read)
+    beginning = replace(s.read, stop_s=min(s.read.stop_s, s.read.start_s + FIRST_S))
+    log, reader = opened(source, beginning)
     if not hasattr(log, "streams"):
         raise InputError(f"{log.name}: the {reader} reader gives frames only; there is nothing else to tell")
     stored = cast(StoredLog, log)

@@ -28,6 +28,7 @@ from vlmm_log.readers.stored import Kind, Shot, StoredImage, Stream, stream
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import Float64, Frame, InputError, Skipped
 
+FOREVER_S = 1e8  # three years
 STILL_NS = 5_000_000_000
 LARGEST_TOLERANCE_S = 1.0  # beyond it, images would have to be held back for longer than they may be late
 
@@ -101,7 +102,9 @@ class BagLog:
         c = self.choice
         told = [f"{self.container.kind}: colour {c.rgb.topic.name}, depth {c.depth.topic.name}"]
         told += [*self._assembly().notes(), *self._cameras.notes, *self._told]
-        told.append("no poses" if self.poses is None else f"{self.poses.stamps_ns.size} poses from {self.poses.source}")
+        limited = " in the chosen window" if self.s.stop_s < FOREVER_S or self.s.start_s else ""
+        found = "no poses" if self.poses is None else f"{self.poses.stamps_ns.size} poses from {self.poses.source}"
+        told.append(found + limited)
         return [*told, f"the first frame at {self.origin_ns} ns"]
 
     @property

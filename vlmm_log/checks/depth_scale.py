@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vlmm_log.checks.case import Case
+from vlmm_log.checks.probe import counted_per_meter
 from vlmm_log.checks.report import Evidence, Finding, Told
 from vlmm_log.types import Int64
 
@@ -37,11 +38,10 @@ def check_depth_scale(case: Case) -> Told:
 def _scale(case: Case, units: float) -> Told:
     low, high = case.read.depth_min_m, case.read.depth_max_m
     metres = float(np.nanmedian(case.samples.metres))
-    ruler = kinect_units(case.samples.stored)
-    known = None if ruler is None else min(UNITS, key=lambda u: abs(np.log(u / ruler)))
-    figures = {"median_m": metres, "units_per_meter": units, "units_by_steps": ruler or np.nan}
-    if known is not None and ruler is not None and abs(ruler / known - 1) < AGREE:
-        text = f"depth steps grow with its square as a Kinect's at {ruler:.0f} per metre"
+    ruler, known = units_by_steps(case)
+    figures = {"median_m": metres, "units_per_meter": units, "units_by_steps": ruler}
+    if known is not None:
+        text = f"depth steps grow with its square as a Kinect's at {ruler:.4g} per metre"
         if abs(known / units - 1) < AGREE:
             yield Evidence("depth scale", f"{text}; read as {units:g}", figures)
         else:
@@ -55,6 +55,16 @@ def _scale(case: Case, units: float) -> Told:
     better = min(UNITS, key=lambda u: abs(np.log(metres * units / u / USUAL_M)))
     text = f"median depth would be {metres:.3g} m at {units:g} per metre"
     yield Finding("depth scale", text, f"--set read.depth_units_per_meter={better:g}", figures)
+
+
+def units_by_steps(case: Case) -> tuple[float, float | None]:
+    """Stored values of a metre as depth's own steps say, NaN where they do not, and those in use that it must be."""
+    steps = kinect_units(case.samples.stored)
+    if steps is None:
+        return np.nan, None
+    ruler = steps * case.log.units_per_meter / counted_per_meter(case.log)
+    known = min(UNITS, key=lambda u: abs(np.log(u / ruler)))
+    return ruler, known if abs(ruler / known - 1) < AGREE else None
 
 
 def kinect_units(stored: Int64) -> float | None:

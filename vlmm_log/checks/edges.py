@@ -26,6 +26,7 @@ class Alignment:
     own: int  # which of them is the frame's own
     shifts: Float32  # (delays, 2 HALF + 1, 2 HALF + 1) depth moved down and right by 2 (row - HALF, column - HALF) px
     flipped: dict[str, float]  # best over all shifts of the own depth image, by name of FLIPS
+    flow_px_s: float = 0.0  # how fast the image moves there
 
 
 def align(frame: Frame, depths: Mapping[int, tuple[float, Float32]]) -> Alignment:

@@ -7,7 +7,7 @@ of some hundred matches and no image is decoded twice.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -62,6 +62,11 @@ class Samples:
     seen: list[float] = field(default_factory=list)  # share of pixels with any depth, by frame
     metres: list[float] = field(default_factory=list)  # median depth by frame, m
     left_out: Counter[str] = field(default_factory=Counter)  # reasons
+
+
+def counted_per_meter(log: StoredLog) -> float:
+    """Units in which depth values are counted: the stored ones, and fine ones of depth that is stored in metres."""
+    return log.units_per_meter if log.units_per_meter != 1 else 5000.0
 
 
 def places(timeline: Timeline) -> Int64:
@@ -139,11 +144,12 @@ def _look(
     seen = a.depth[np.isfinite(a.depth)]
     samples.seen.append(seen.size / a.depth.size)
     samples.metres.append(float(np.median(seen)) if seen.size else np.nan)
-    stored = np.rint(seen.astype(np.float64) * log.units_per_meter)
+    stored = np.rint(seen.astype(np.float64) * counted_per_meter(log))
     whole = stored[(stored > 0) & (stored < COUNTED)].astype(np.int64)
     samples.stored += np.bincount(whole, minlength=COUNTED)
-    samples.alignments.append(_aligned(timeline, place, frames))
     probe = _probe(log, timeline, flow, place, frames, samples.left_out)
+    fast = np.inf if probe is None or not len(probe.z_a) else probe.moved_px / (probe.second_ns - probe.first_ns) * 1e9
+    samples.alignments.append(replace(_aligned(timeline, place, frames), flow_px_s=float(fast)))
     if probe is not None:
         samples.probes.append(probe)
 

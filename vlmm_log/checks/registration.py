@@ -40,7 +40,8 @@ def check_registration(case: Case) -> Told:
     delays = list(_delay(case, delays_s, pooled))
     yield from delays
     if not any(isinstance(told, Finding) for told in delays):
-        yield from _shift(case, pooled[0])
+        slow = float(np.median([a.flow_px_s for a in alignments]))  # colour and depth are not of quite the same moment
+        yield from _shift(case, _pooled([a for a in alignments if a.flow_px_s <= slow])[1][0])
 
 
 def _clearness(shifts: Float32) -> float:

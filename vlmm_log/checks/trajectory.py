@@ -10,6 +10,7 @@ import numpy as np
 
 from vlmm_log import se3
 from vlmm_log.checks.case import Case
+from vlmm_log.checks.depth_scale import UNITS, units_by_steps
 from vlmm_log.checks.lists import POSE_ROWS, UNUSABLE
 from vlmm_log.checks.motion_pairs import MotionPair, carried, flow_px, motion_pairs, moving
 from vlmm_log.checks.registration import peak
@@ -23,11 +24,13 @@ from vlmm_log.types import Float64
 SWEEP_S = 0.2  # largest time offset tried
 STEP_S = 0.01
 LATE_S = 0.03  # a smaller offset is within the stamping of unsynchronised sensors
-BETTER = 0.6  # a candidate's error as a share of the present one, at most
-LEAST_PX = 1.0  # and it must win so much
+BETTER, LEAST_PX = 0.6, 1.0  # another reading leaves at most this share of the error, and wins so many px
+SOONER, LEAST_SOONER_PX = 0.8, 0.3  # another time offset: where clocks agree the best one is near 0 anyway
 AGREEING = 0.75  # share of pairs on which it must win
 EACH_CHANGE = 0.05  # log error that each changed knob must win: of equals the simplest is taken
 EACH_PLACE = 0.15  # log error that a mounting's position must win: it is far less certain than its turn
+POSITIONS, DEPTH = "position_units_per_meter", "depth_units_per_meter"  # only their ratio shows: one of them is wrong
+MOST_CHANGES = 3  # wrong at once
 FEWEST_PAIRS = 3
 FEWEST_MOUNTED = 6  # pairs that a mounting of six numbers is told from
 UNEXPLAINED, UNEXPLAINED_PX = 0.35, 4.0  # share of the flow, and px, that poses leave which belong elsewhere
@@ -42,6 +45,7 @@ class Candidate:
     changes: tuple[tuple[str, str], ...]  # knob of read, value
     poses: Poses
     errors: Float64  # (pairs,) px; NaN without a pose
+    stretch: float = 1.0  # of the poses' translations beside depth as it was read
     offset_s: float = 0.0  # added to what the settings say
 
     @property
@@ -168,7 +172,8 @@ def _convention(case: Case, poses: Poses, pairs: list[MotionPair]) -> Told:
 def _mended(case: Case, best: Candidate, text: str, figures: dict[str, float]) -> Told:
     if best.changes:
         changed = ", ".join(f"{name} = {value}" for name, value in best.changes)
-        yield Finding("pose convention", f"{text}, {best.px:.1f} px with {changed}", best.remedy, figures)
+        check = "depth scale" if best.changes[0][0] == DEPTH else "pose convention"
+        yield Finding(check, f"{text}, {best.px:.1f} px with {changed}", best.remedy, figures)
     if best.offset_s:
         offset = case.read.pose_offset_s + best.offset_s
         message = f"{text}, {best.px:.1f} px where they are {best.offset_s * 1e3:+.0f} ms later"
@@ -183,7 +188,9 @@ def _wins(a: Candidate, b: Candidate) -> bool:
         return False
     factor = float(np.exp(np.mean(np.log(x + 0.5)) - np.mean(np.log(y + 0.5))))
     on_most = float(np.mean(x < y)) >= AGREEING
-    return factor < BETTER and float(np.median(y) - np.median(x)) > LEAST_PX and on_most
+    only_clock = a.changes == b.changes and a.offset_s != b.offset_s
+    share, px = (SOONER, LEAST_SOONER_PX) if only_clock else (BETTER, LEAST_PX)
+    return factor < share and float(np.median(y) - np.median(x)) > px and on_most
 
 
 def _swept(case: Case, pairs: list[MotionPair], now: Candidate, others: list[Candidate]) -> Iterator[Candidate]:
@@ -209,38 +216,47 @@ def _offset(case: Case, pairs: list[MotionPair], c: Candidate) -> tuple[float, f
 def _shifted(case: Case, pairs: list[MotionPair], c: Candidate, offset_s: float) -> Candidate:
     convention = replace(c.poses.convention, offset_ns=c.poses.convention.offset_ns + round(offset_s * 1e9))
     poses = replace(c.poses, convention=convention)
-    return Candidate(c.changes, poses, _errors(case, poses, pairs), offset_s)
+    return Candidate(c.changes, poses, _errors(case, poses, pairs, c.stretch), c.stretch, offset_s)
 
 
 def changes(case: Case) -> list[tuple[tuple[str, str], ...]]:
     """Every other reading: direction, quaternion order, axes, mounting, units of positions."""
     now = case.read
     units = now.position_units_per_meter
-    options = (
+    options: tuple[tuple[str, str, tuple[str, ...]], ...] = (
         ("poses", now.poses, ("camera_to_world", "world_to_camera")),
         ("quaternion", now.quaternion, ("xyzw", "wxyz")),
         ("camera_axes", now.camera_axes, ("optical", "body", "opengl")),
         ("pose_to_camera", now.pose_to_camera, (now.pose_to_camera, "none", "bonn", "icl")),
-        ("position_units_per_meter", f"{units:g}", (f"{units:g}", *(f"{units * k:g}" for k in (1000, 100, 0.001)))),
+        (POSITIONS, f"{units:g}", (f"{units:g}", *(f"{units * k:g}" for k in (1000, 100, 0.001)))),
     )
+    of_depth = f"{case.log.units_per_meter:g}"
+    if units_by_steps(case)[1] is None and case.log.units_per_meter != 1:  # depth has no ruler of its own
+        options += ((DEPTH, of_depth, (of_depth, *(f"{u:g}" for u in UNITS if u > 1))),)
     found = []
-    for values in product(*(set(o[2]) for o in options)):
-        changed = ((name, value) for (name, was, _), value in zip(options, values, strict=True) if value != was)
-        found.append(tuple(changed))
-    return [c for c in sorted(found) if c]
+    for values in product(*(sorted(set(o[2])) for o in options)):
+        rows = zip(options, values, strict=True)
+        found.append(tuple((name, value) for (name, was, _), value in rows if value != was))
+    return [c for c in found if 0 < len(c) <= MOST_CHANGES and not {POSITIONS, DEPTH} <= {name for name, _ in c}]
 
 
 def candidate(case: Case, poses: Poses, pairs: list[MotionPair], changed: tuple[tuple[str, str], ...]) -> Candidate:
     """The poses read with some knobs changed."""
+    stretch = 1.0
     if changed:
         read = case.settings.changed([f"read.{name}={value}" for name, value in changed]).read
         poses = replace(poses, convention=conventions.asked(read, poses.convention))
-    return Candidate(changed, poses, _errors(case, poses, pairs))
+        stretch = (read.depth_units_per_meter or case.log.units_per_meter) / case.log.units_per_meter
+    return Candidate(changed, poses, _errors(case, poses, pairs, stretch), stretch)
 
 
-def _errors(case: Case, poses: Poses, pairs: list[MotionPair]) -> Float64:
+def _errors(case: Case, poses: Poses, pairs: list[MotionPair], stretch: float) -> Float64:
+    """(pairs,) px. Errors know only the ratio of translation to depth: other units of depth stretch translations."""
     K = case.log.camera.K
     relatives = [relative(poses, p, case) for p in pairs]
+    for T in relatives:
+        if T is not None:
+            T[:3, 3] *= stretch
     return np.array([np.nan if T is None else error_px(p.probe, T, K) for p, T in zip(pairs, relatives, strict=True)])
 
 
