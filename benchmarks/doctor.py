@@ -19,7 +19,7 @@ from pathlib import Path
 
 from benchmarks.data import DATA, MOVING_PAIRS, NOMINAL, SLICE, need
 from vlmm_log.checks.report import sets_of
-from vlmm_log.doctor import Diagnosis, doctor
+from vlmm_log.diagnosis import Diagnosis, doctor
 from vlmm_log.settings import Settings
 
 CLEAN = [SLICE, DATA / "fruit_on_table", *sorted(p for p in MOVING_PAIRS.glob("*") if p.is_dir())]
@@ -35,7 +35,7 @@ class Outcome:
     found: bool
     right: bool  # the right remedy is among those named
     besides: tuple[str, ...]  # checks that found something else
-    closed: bool | None  # doctor is silent under the remedy; None where only the user can mend it
+    closed: bool | None  # doctor is silent under the remedy; None where nothing was found or only the user can mend it
 
 
 def main() -> None:
@@ -52,7 +52,7 @@ def main() -> None:
     closed = [o.closed for o in outcomes if o.closed is not None]
     print(f"\nrecall {found}/{len(outcomes)}; right remedy {right}/{len(outcomes)}", end="; ")
     print(f"precision {found}/{found + besides + len(false)}: {besides} other findings, {len(false)} on clean logs")
-    print(f"silent under the remedy: {sum(closed)}/{len(closed)} of those that a flag mends")
+    print(f"silent under the remedy: {sum(closed)}/{len(closed)} of those found that a flag mends")
 
 
 def _clean(logs: list[Path]) -> Iterator[str]:
@@ -78,7 +78,7 @@ def _tried(fault: Fault, scratch: Path) -> Outcome:
     outcome = _judged(fault, folder, diagnosis)
     remedies = " | ".join(f.remedy for f in diagnosis.findings) or "nothing"
     marks = [name for name in ("found", "right") if getattr(outcome, name)]
-    marks += [] if outcome.closed is None else ["mended" if outcome.closed else "NOT MENDED"]
+    marks += [] if outcome.closed is None else ["silent" if outcome.closed else "NOT SILENT"]
     print(f"{'+'.join(marks) or 'MISSED':19} {fault.name:38} {took:4.1f} s  {remedies}", flush=True)
     if outcome.besides:
         print(f"{'':20}besides: {', '.join(outcome.besides)}")
@@ -90,7 +90,7 @@ def _judged(fault: Fault, folder: Path, diagnosis: Diagnosis) -> Outcome:
     besides = tuple(f.check for f in diagnosis.findings if f.check not in fault.check)
     right = any(fault.mended_by(f.remedy) for f in own)
     closed = None
-    if fault.knob:
+    if fault.knob and own:
         settings = Settings.load(sets=[s for f in diagnosis.findings for s in sets_of(f.remedy)])
         closed = not doctor(folder, settings=settings).findings
     return Outcome(bool(own), right, besides, closed)

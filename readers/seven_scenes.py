@@ -12,8 +12,10 @@ from vlmm_log.protocols import Log
 from vlmm_log.readers import conventions, intrinsics
 from vlmm_log.readers.conventions import Convention
 from vlmm_log.readers.intrinsics import Intrinsics
+from vlmm_log.readers.matrices import matrix_in, matrix_trajectory
 from vlmm_log.readers.numbered import Counted, by_number, counted
-from vlmm_log.readers.plain import log_of, matrix_in, matrix_trajectory, placed
+from vlmm_log.readers.plain import log_of
+from vlmm_log.readers.pose_files import placed
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import InputError, Skipped
 

@@ -14,8 +14,9 @@ import vlmm_log
 from tum_folder import ORIGIN_NS, png, rows, text_of
 from vlmm_log import se3
 from vlmm_log.readers import recognise
+from vlmm_log.readers.matrices import pose_of_matrix
 from vlmm_log.readers.numbered import nominal_ns
-from vlmm_log.readers.plain import Icl, Plain, pose_of_matrix
+from vlmm_log.readers.plain import Icl, Plain
 from vlmm_log.readers.seven_scenes import SevenScenes
 from vlmm_log.readers.tum import Tum
 from vlmm_log.settings import Settings

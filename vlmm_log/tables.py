@@ -162,7 +162,7 @@ def print_info(told: Info) -> None:
     lines += [f"noted: {reason}, {count} times" for reason, count in sorted(told.skipped.items())]
     lines += [f"for {role}, best first: {'; '.join(c)}" for role, c in told.candidates.items() if len(c) > 1]
     for line in lines:
-        console.print(f"  {printable(line)}", highlight=False)
+        console.print(f"  {printable(line)}", highlight=False, soft_wrap=True)
 
 
 def _known(value: float | None, form: str = "{}") -> str:
@@ -175,12 +175,12 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
     console = Console(markup=False)
     for finding in diagnosis.findings:
-        console.print(f"FOUND {finding.check}: {printable(finding.message)}", highlight=False)
+        console.print(f"FOUND {finding.check}: {printable(finding.message)}", highlight=False, soft_wrap=True)
         console.print(f"      mend it: {printable(finding.remedy)}", highlight=False, soft_wrap=True)
     for seen in diagnosis.evidence:
-        console.print(f"  {seen.check}: {printable(seen.message)}", highlight=False)
+        console.print(f"  {seen.check}: {printable(seen.message)}", highlight=False, soft_wrap=True)
     if not diagnosis.findings:
-        console.print("nothing found that contradicts the data", highlight=False)
+        console.print("nothing found that contradicts the data", highlight=False, soft_wrap=True)
 
 
 def print_converted(done: Converted) -> None:
@@ -189,7 +189,7 @@ def print_converted(done: Converted) -> None:
 
     console = Console(markup=False)
     for name, count in done.counts.items():
-        console.print(f"  {printable(name)}: {count}", highlight=False)
+        console.print(f"  {printable(name)}: {count}", highlight=False, soft_wrap=True)
     for line in (*done.notes, *(f"noted: {reason}, {n} times" for reason, n in sorted(done.skipped.items()))):
-        console.print(f"  {printable(line)}", highlight=False)
+        console.print(f"  {printable(line)}", highlight=False, soft_wrap=True)
     console.print(f"wrote {done.out}", highlight=False, soft_wrap=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -13,9 +13,10 @@ from typing import Any
 from vlmm_log.protocols import Log
 from vlmm_log.readers import conventions
 from vlmm_log.readers.assembly import Assembly
-from vlmm_log.readers.bag.cameras import Cameras, cameras
+from vlmm_log.readers.bag.cameras import Cameras, cameras, changed
+from vlmm_log.readers.bag.clock import recorded_at
 from vlmm_log.readers.bag.containers import Container, Message, MessageError, is_container, open_container
-from vlmm_log.readers.bag.messages import TRANSFORMS, image_of, stamp_of
+from vlmm_log.readers.bag.messages import TRANSFORMS, UNREADABLE, image_of, stamp_of
 from vlmm_log.readers.bag.synchronise import LATENESS_NS, Pair, synchronised
 from vlmm_log.readers.bag.topics import TF, Choice, choose, parse_topics
 from vlmm_log.readers.bag.trajectories import read_poses, read_tree
@@ -30,6 +31,7 @@ from vlmm_log.types import Float64, Frame, InputError, Skipped
 
 FOREVER_S = 1e8  # three years
 STILL_NS = 5_000_000_000
+FLOATS = ("32FC1", "64FC1")
 LARGEST_TOLERANCE_S = 1.0  # beyond it, images would have to be held back for longer than they may be late
 
 
@@ -158,23 +160,23 @@ class BagLog:
     def frames(self, start_ns: int, stop_ns: int) -> Iterator[Frame | Skipped]:
         """See protocols.Log. ``Frame.index`` is the message's position in the colour topic."""
         assembly = self._assembly()
-        if start_ns <= 0:
-            yield from self.left_out
+        yield from self.left_out  # of poses in the window, and of the whole file
         with closing(self._pairs(start_ns, stop_ns)) as pairs:
             for item in pairs:
-                stamp_ns = item.stamp_ns if isinstance(item, Skipped) else item[1].stamp_ns
-                early = stamp_ns - self.origin_ns < start_ns and (start_ns > 0 or not isinstance(item, Skipped))
-                if early or stamp_ns - self.origin_ns >= stop_ns:
+                since_ns = (item.stamp_ns if isinstance(item, Skipped) else item[1].stamp_ns) - self.origin_ns
+                if since_ns >= stop_ns or (start_ns > 0 and since_ns < start_ns):
                     continue
                 if isinstance(item, Skipped):
                     yield item
+                elif since_ns < 0:
+                    depth = item[1]
+                    yield Skipped(depth.stamp_ns, depth.what, "stamp lies before the first frame's", item[0].index)
                 else:
                     yield from assembly.frames(*item)
 
     def shots(self, start_ns: int, stop_ns: int) -> Iterator[Shot | Skipped]:
         """See stored.StoredLog."""
-        if start_ns <= 0:
-            yield from self.left_out
+        yield from self.left_out
         for shot in self._shots(*self._log_window(start_ns, stop_ns)):
             if isinstance(shot, Skipped) or start_ns <= shot.stamp_ns - self.origin_ns < stop_ns:
                 yield shot
@@ -208,22 +210,35 @@ class BagLog:
         """The window of log time that holds a window of stamps, with room for images that come early or late."""
         first, last = self.container.start_ns, self.container.stop_ns
         if start_ns > 0:
-            first = max(first, self.origin_ns + self._latency_ns + start_ns - LATENESS_NS)
+            first = max(first, min(self._recorded(start_ns)) - LATENESS_NS)
         if stop_ns < LATEST_NS // 4:
-            last = min(last, self.origin_ns + self._latency_ns + stop_ns + LATENESS_NS)
+            last = min(last, max(self._recorded(stop_ns)) + LATENESS_NS)
         return first, max(first, last)
 
+    def _recorded(self, since_ns: int) -> tuple[int, int]:
+        """Log times at which the moment may lie: by the first frame's latency, and by the stamps of depth images."""
+        even = self.origin_ns + self._latency_ns + since_ns
+        stamp_ns = self.origin_ns + since_ns - round(self.s.depth_offset_s * 1e9)
+        found = recorded_at(self.container, self.choice.depth.topic.name, stamp_ns)
+        return even, even if found is None else found
+
     def _pairs(self, start_ns: int, stop_ns: int) -> Generator[Pair | Skipped]:
+        """By time; what is damaged has only the recorder's, which may be far from that of the stamps."""
         shots = self._shots(*self._log_window(start_ns, stop_ns))
-        return synchronised(shots, limit_ns(self.s.association_s))
+        placed = (replace(x, stamp_ns=x.stamp_ns - self._latency_ns) if isinstance(x, Skipped) else x for x in shots)
+        return synchronised(placed, limit_ns(self.s.association_s))
 
     def _shots(self, start_ns: int, stop_ns: int) -> Iterator[Shot | Skipped]:
         """Images in log order."""
         kinds: dict[str, Kind] = {self.choice.rgb.topic.name: "rgb", self.choice.depth.topic.name: "depth"}
         late_ns = {"rgb": 0, "depth": round(self.s.depth_offset_s * 1e9)}
-        for message in self.container.messages(list(kinds), start_ns, stop_ns):
+        infos = self._cameras.infos
+        for message in self.container.messages([*kinds, *(name for name, _, _ in infos)], start_ns, stop_ns):
             if isinstance(message, Skipped):
                 yield message
+                continue
+            if message.topic.name not in kinds:
+                yield from changed(infos, message)
                 continue
             kind = kinds[message.topic.name]
             what = f"{message.topic.name} {message.ordinal}"
@@ -235,6 +250,8 @@ class BagLog:
                 yield Skipped(message.log_ns, what, str(e), index)
                 continue
             load = partial(_image, content, message.topic.type)
+            if kind == "depth":
+                load = partial(_depth, load, self.choice.depth.encoding)
             yield Shot(kind, stamp_ns + late_ns[kind], message.ordinal, what, load)
 
     @cached_property
@@ -242,11 +259,24 @@ class BagLog:
         """See stored.StoredLog; of the window that is asked for."""
         window = self._log_window(limit_ns(self.s.start_s), limit_ns(self.s.stop_s))
         tree = read_tree(self.container, *window, self.left_out)
-        poses = read_poses(self.container, self.choice, tree, window, self.left_out, self._told)
+        poses = None
+        for pose in self._pose_topics:
+            poses = read_poses(self.container, replace(self.choice, pose=pose), tree, window, self.left_out, self._told)
+            if poses is not None:
+                break
+            self._told.append(f"no poses could be had from {pose}")
         self._told += [f"transforms: {conflict}" for conflict in tree.conflicts()]
         if poses is None:
             return None
         return Poses(poses.links, poses.source, conventions.asked(self.s, poses.convention), poses.up)
+
+    @property
+    def _pose_topics(self) -> tuple[str, ...]:
+        """The one that was asked for; else every candidate, best first."""
+        pose = self.choice.pose
+        if not pose or "pose" in parse_topics(self.s.topics):
+            return (pose,) if pose else ()
+        return tuple(c.topic for c in self.choice.ranked["pose"])
 
     @cached_property
     def _still(self) -> Tree:
@@ -260,5 +290,13 @@ def _image(content: Any, type_name: str) -> StoredImage:
         return image_of(content, type_name)
     except MessageError as e:
         raise ImageError(str(e)) from e
-    except AttributeError as e:
+    except UNREADABLE as e:
         raise ImageError("message lacks a field") from e
+
+
+def _depth(load: Callable[[], StoredImage], first: str) -> StoredImage:
+    """A depth image of the first one's kind, by whose unit all are scaled. Raises ImageError."""
+    image = load()
+    if image.encoding.startswith(FLOATS) != first.startswith(FLOATS):
+        raise ImageError(f"depth image's encoding {image.encoding[:40]!r} goes not with the first one's")
+    return image

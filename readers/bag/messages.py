@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ POSES = {
     "foxglove.PoseInFrame",
     "foxglove_msgs/msg/PoseInFrame",
 }
+UNREADABLE = (AttributeError, ValueError, TypeError)  # of messages that lack a field, or hold something else in it
 MODELS = {"": "plumb_bob", "plumb_bob": "plumb_bob", "rational_polynomial": "rational_polynomial"}
 MODELS |= {"equidistant": "equidistant", "kannala_brandt": "equidistant", "fisheye": "equidistant"}
 
@@ -55,7 +56,10 @@ def stamp_of(message: Any) -> int:
     nanos = _first(time, "nanosec", "nanos", "nsec", "nsecs")
     if seconds is None and nanos is None:
         raise MessageError("message has no stamp")
-    return int(seconds or 0) * 1_000_000_000 + int(nanos or 0)
+    try:
+        return int(seconds or 0) * 1_000_000_000 + int(nanos or 0)
+    except (ValueError, TypeError, OverflowError) as e:  # JSON holds what it likes
+        raise MessageError("message's stamp is no number") from e
 
 
 def frame_of(message: Any) -> str:
@@ -84,19 +88,21 @@ def image_of(message: Any, type_name: str) -> StoredImage:
 
 
 def camera_of(message: Any, topic: str, image_topic: str) -> Intrinsics:
-    """The camera of an image topic: P of a rectified one, else K and the lens distortion. Raises InputError.
+    """The camera of an image topic: P of a rectified one, else K and the lens distortion, which is not judged here.
 
-    ROS: sensor_msgs/CameraInfo; P is that of the rectified image, K and D those of the raw one.
+    ROS: sensor_msgs/CameraInfo; P is that of the rectified image, K and D those of the raw one. Raises InputError.
     """
     K = _numbers(message, "K", "k", size=9)
     P = _numbers(message, "P", "p", size=12)
     D = np.asarray(_first(message, "D", "d") if _first(message, "D", "d") is not None else [], np.float64)
     rectified = "rect" in image_topic.split("/")[-1] or "rect" in "".join(image_topic.split("/")[-2:-1])
     matrix, which = (P.reshape(3, 4)[:, :3], "P") if rectified and P[0] else (K.reshape(3, 3), "K")
-    if not matrix[0, 0]:
+    if not matrix[0, 0] or not np.isfinite(matrix).all():
         raise InputError(f"{topic}: camera info without focal length (not calibrated); give --intrinsics fx,fy,cx,cy")
     if matrix[0, 1]:
-        raise InputError(f"{topic}: camera matrix has a skew of {matrix[0, 1]:g}; that is not supported")
+        raise InputError(
+            f"{topic}: camera matrix has a skew of {matrix[0, 1]:g}, which is not undone; give --intrinsics fx,fy,cx,cy"
+        )
     named = str(getattr(message, "distortion_model", ""))
     lens, model = ((), "plumb_bob") if rectified or not np.any(D) else (tuple(map(float, D)), MODELS.get(named, named))
     if model == "plumb_bob" and len(lens) == 8:
@@ -113,7 +119,8 @@ def camera_of(message: Any, topic: str, image_topic: str) -> Intrinsics:
         lens,
         model,
     )
-    return checked(camera, topic)
+    checked(replace(camera, distortion=()), topic)
+    return camera
 
 
 def transforms_of(message: Any) -> Iterator[Placed]:

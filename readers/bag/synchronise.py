@@ -11,6 +11,7 @@ from vlmm_log.readers.stored import Kind, Shot
 from vlmm_log.types import Skipped
 
 LATENESS_NS = 2_000_000_000  # an image comes at most so much later than one with a later stamp
+STRAGGLERS = 4  # images in a row that come later than that: their clock was set back
 Pair = tuple[Shot, Shot]
 PARTNER: dict[Kind, Kind] = {"rgb": "depth", "depth": "rgb"}
 CALLED: dict[Kind, str] = {"rgb": "colour", "depth": "depth"}
@@ -44,10 +45,14 @@ class _Waiting:
         heapq.heappush(self.decided, (stamp, self.count, item))
         self.count += 1
 
+    @property
+    def oldest_ns(self) -> int:
+        """No image still to come is older."""
+        return max(self.latest.values(), default=-(2**62)) - LATENESS_NS
+
     def frontier(self, kind: Kind) -> int:
         """Every image of a kind up to this stamp is here."""
-        newest = max(self.latest.values(), default=-(2**62))
-        return max(self.latest.get(kind, -(2**62)), newest - LATENESS_NS)
+        return max(self.latest.get(kind, -(2**62)), self.oldest_ns)
 
     def decide(self, frontier: dict[Kind, int]) -> None:
         """Pair what is nearest to each other, as long as no image still to come could be nearer."""
@@ -87,17 +92,34 @@ class _Waiting:
 def synchronised(shots: Iterable[Shot | Skipped], tolerance_ns: int) -> Generator[Pair | Skipped]:
     """Colour and depth images that belong together, each used once, by the depth image's stamp; and what is left out.
 
-    The same pairs as ``stamps.associate`` gives of all stamps, as long as no image comes LATENESS_NS late.
+    The same pairs as ``stamps.associate`` gives of all stamps, as long as no image comes LATENESS_NS late. Where the
+    clock is set back further, time starts again: what follows is paired by itself.
     """
     waiting = _Waiting(tolerance_ns)
+    late: list[Shot] = []
     for shot in shots:
         if isinstance(shot, Skipped):
             waiting.tell(shot)
             continue
-        waiting.add(shot)
+        late.append(shot)
+        if shot.stamp_ns < waiting.oldest_ns:
+            if len(late) < STRAGGLERS:
+                continue
+            yield from _rest(waiting)
+            waiting = _Waiting(tolerance_ns)
+            waiting.tell(Skipped(late[0].stamp_ns, late[0].what, "clock of the stamps was set back here"))
+        while late:
+            waiting.add(late.pop(0))
         frontier = {kind: waiting.frontier(kind) for kind in PARTNER}
         waiting.decide(frontier)
         yield from waiting.ordered(min(frontier.values()) - tolerance_ns)
+    for shot in late:
+        waiting.add(shot)
+    yield from _rest(waiting)
+
+
+def _rest(waiting: _Waiting) -> Iterator[Pair | Skipped]:
+    """What is to be had without images still to come."""
     waiting.decide(dict.fromkeys(PARTNER, 2**63))
     yield from waiting.ordered(2**63)
 

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from vlmm_log.readers.bag.containers import Container, Message, MessageError, Topic
-from vlmm_log.readers.bag.messages import CAMERAS, ENCODED_IMAGES, IMAGES, POSES, TRANSFORMS, frame_of, image_of
+from vlmm_log.readers.bag.messages import (
+    CAMERAS,
+    ENCODED_IMAGES,
+    IMAGES,
+    POSES,
+    TRANSFORMS,
+    UNREADABLE,
+    frame_of,
+    image_of,
+)
 from vlmm_log.types import InputError
 
 ROLES = ("rgb", "depth", "info", "depth_info", "pose")
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1", "64FC1")
 TRUTH = ("groundtruth", "ground_truth", "mocap", "vicon", "optitrack", "qualisys", "/gt")
-NO_COLOUR = ("infra", "/ir", "thermal", "mask", "debug", "overlay", "depth_color", "fisheye")
+NO_COLOUR = ("infra", "thermal", "mask", "debug", "overlay", "annotated", "depth_color", "fisheye")
+NO_DEPTH = ("confidence", "mask", "infra", "debug", "points", "disparity")
+DRIVERS = ("image_raw", "image_color", "image_rect", "image_rect_color")  # what cameras call an image, not detectors
 TF = "tf"  # the pose "topic" that stands for the transform tree
 
 
@@ -62,10 +74,7 @@ def parse_topics(text: str) -> dict[str, str]:
 
 def choose(container: Container, given: Mapping[str, str]) -> Choice:
     """Topics for every role: those given, else the best of a ranking. Raises InputError where none can be."""
-    topics = {t.name: t for t in container.topics}
-    for role, name in given.items():
-        if name not in topics and not (role == "pose" and (name.startswith(TF) or name == "none")):
-            raise InputError(f"{container.path}: no topic {name} for {role}; there are {_names(topics.values())}")
+    given = {role: _checked(container, role, name) for role, name in given.items()}
     streams = [s for t in container.topics if t.type in IMAGES and (s := first_image(container, t)) is not None]
     named = {s.topic.name: s for s in streams}
     depths = [s for s in streams if _is_depth(s)]
@@ -74,6 +83,10 @@ def choose(container: Container, given: Mapping[str, str]) -> Choice:
     depth = _taken(container, "depth", given, named, ranked)
     ranked["rgb"] = _ranked(colours, partial(_rgb_score, beside=depth))
     rgb = _taken(container, "rgb", given, named, ranked)
+    if rgb.topic.name == depth.topic.name:
+        raise InputError(
+            f"{container.path}: {rgb.topic.name} cannot be both colour and depth; give --topics rgb=..,depth=.."
+        )
     cameras = [t for t in container.topics if t.type in CAMERAS]
     ranked["info"] = _infos(cameras, rgb.topic.name)
     ranked["depth_info"] = _infos(cameras, depth.topic.name)
@@ -86,15 +99,32 @@ def choose(container: Container, given: Mapping[str, str]) -> Choice:
     return Choice(rgb, depth, chosen["info"], chosen["depth_info"], pose, ranked)
 
 
+def _checked(container: Container, role: str, name: str) -> str:
+    """What was given for a role; any topic of transforms as pose is the whole tree. Raises InputError."""
+    types = {t.type for t in container.topics if t.name == name}
+    if role == "pose" and (name in (TF, "none") or name.startswith(f"{TF}:")):
+        return name
+    if not types:
+        raise InputError(f"{container.path}: no topic {name} for {role}; there are {_names(container.topics)}")
+    if role == "pose" and types & TRANSFORMS:
+        return TF
+    wanted = {"pose": POSES, "info": CAMERAS, "depth_info": CAMERAS}.get(role, types)
+    if not types & wanted:
+        raise InputError(
+            f"{container.path}: topic {name} for {role} is of type {', '.join(sorted(types))}; name another"
+        )
+    return name
+
+
 def first_image(container: Container, topic: Topic) -> Stream | None:
     """What the first readable of a topic's first messages says; None where none can be read."""
     for k, message in enumerate(container.messages([topic.name], container.start_ns, container.stop_ns)):
-        if isinstance(message, Message):
+        if isinstance(message, Message) and message.topic.type == topic.type:
             try:
                 content: Any = message.decode()
                 image = image_of(content, topic.type)
                 return Stream(topic, image.encoding or _form(content), frame_of(content), (image.height, image.width))
-            except (MessageError, AttributeError):
+            except (MessageError, *UNREADABLE):
                 pass
         if k > 20:
             break
@@ -109,7 +139,8 @@ def _is_depth(s: Stream) -> bool:
     named = "depth" in s.topic.name.lower() and not any(w in s.topic.name.lower() for w in ("color", "colour", "rgb"))
     registered = "depth" in s.topic.name.lower().rsplit("/", 2)[-2:][0] or "aligned_depth" in s.topic.name.lower()
     if s.topic.type in ENCODED_IMAGES:
-        return "compresseddepth" in s.encoding.lower() or s.encoding.startswith(("16UC1", "32FC1", "mono16"))
+        lossless = "jpeg" not in s.encoding.lower()
+        return "compresseddepth" in s.encoding.lower() or (lossless and s.encoding.startswith(DEPTH_ENCODINGS))
     return s.encoding in DEPTH_ENCODINGS and (named or registered or s.encoding != "mono16")
 
 
@@ -126,7 +157,7 @@ def _ranked(streams: Iterable[Stream], score: Any) -> tuple[Candidate, ...]:
 def _depth_score(s: Stream) -> tuple[float, str]:
     name = s.topic.name.lower()
     registered = any(word in name for word in ("aligned", "registered", "depth_to_rgb", "depth_to_color"))
-    other = any(word in name for word in ("confidence", "mask", "infra", "/ir", "debug", "points", "disparity"))
+    other = any(word in name for word in NO_DEPTH) or _infrared(name)
     raw = s.topic.type not in ENCODED_IMAGES
     points = 3.0 * registered + 1.0 * ("depth" in name) - 4.0 * other + 0.2 * raw
     return points, ", registered to colour by its name" if registered else ""
@@ -134,13 +165,19 @@ def _depth_score(s: Stream) -> tuple[float, str]:
 
 def _rgb_score(s: Stream, beside: Stream) -> tuple[float, str]:
     name = s.topic.name.lower()
-    colour = any(word in name for word in ("rgb", "color", "colour")) or s.encoding.startswith(("rgb", "bgr", "bayer"))
-    other = any(word in name for word in NO_COLOUR)
+    named = any(word in name for word in ("rgb", "color", "colour"))
+    colour = named or s.encoding.startswith(("rgb", "bgr", "bayer"))
+    other = any(word in name for word in NO_COLOUR) or _infrared(name)
     same_frame = s.frame == beside.frame
     shared = _shared(s.topic.name, beside.topic.name)
     points = 2.0 * colour - 4.0 * other + 1.5 * same_frame + 0.5 * min(shared, 2) + 0.3 * ("rect" in name)
-    points += 0.2 * (s.topic.type not in ENCODED_IMAGES)
+    points += 0.2 * (s.topic.type not in ENCODED_IMAGES) + 0.1 * named + 0.1 * (_base(name).endswith(DRIVERS))
     return points, ", in the depth image's frame" if same_frame else ""
+
+
+def _infrared(name: str) -> bool:
+    """Whether "ir" is a word of a name: of /kinect2/sd/image_ir, not of /iris/camera."""
+    return "ir" in re.split(r"[^a-z]+", name)
 
 
 def _infos(cameras: Iterable[Topic], image_topic: str) -> tuple[Candidate, ...]:
@@ -183,7 +220,7 @@ def _taken(
         if given[role] not in streams:
             raise InputError(f"{container.path}: topic {given[role]} for {role} holds no image that can be read")
         return streams[given[role]]
-    if not ranked[role]:
+    if not ranked[role] or (role == "depth" and ranked[role][0].score < 0):  # infrared and the like alone
         what = {"depth": "16UC1, 32FC1 or compressedDepth", "rgb": "colour or grey images"}[role]
         raise InputError(
             f"{container.path}: no {role} topic ({what}); give --topics {role}=NAME; "

@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 
 from vlmm_log.readers.bag.containers import Container, Message, MessageError
-from vlmm_log.readers.bag.messages import TRANSFORMS, Placed, poses_of, transforms_of
+from vlmm_log.readers.bag.messages import TRANSFORMS, UNREADABLE, Placed, poses_of, transforms_of
 from vlmm_log.readers.bag.topics import TF, Choice
 from vlmm_log.readers.bag.transforms import Edge, Tree
 from vlmm_log.readers.conventions import PLAIN
@@ -115,7 +115,7 @@ def _placed(
         try:
             content = message.decode()
             yield from transforms_of(content) if message.topic.type in TRANSFORMS else poses_of(content)
-        except (MessageError, AttributeError) as e:
+        except (MessageError, *UNREADABLE) as e:
             reason = str(e) if isinstance(e, MessageError) else "message lacks a field"
             left_out.append(Skipped(message.log_ns, f"{message.topic.name} {message.ordinal}", reason))
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from vlmm_log.checks.case import Case
 from vlmm_log.checks.motion_pairs import MotionPair, motion_pairs, moving
+from vlmm_log.checks.readings import FEWEST_PAIRS, relative
 from vlmm_log.checks.report import Evidence, Finding, Told
 from vlmm_log.checks.rigid import error_px, fit
-from vlmm_log.checks.trajectory import FEWEST_PAIRS, relative
 from vlmm_log.readers.intrinsics import PRESETS, Intrinsics
 from vlmm_log.types import Float64
 

@@ -106,7 +106,9 @@ def _unusable(case: Case) -> Told:
         else:
             yield Evidence("unusable rows", text, figures)
     for reason, count in sorted(case.samples.left_out.items()):
-        if reason in rows or "within" in reason:  # pairs and poses have checks of their own
+        if (
+            reason in rows or "within" in reason or not case.samples.seen
+        ):  # pairs, poses, no frame at all: told elsewhere
             continue
         share = count / (count + len(case.samples.seen))
         remedy = "mend or replace these images, or give the camera that they are from with --intrinsics"
