@@ -14,7 +14,7 @@ from vlmm_log.readers.assembly import Assembly
 from vlmm_log.readers.images import ImageError
 from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.readers.poses import Poses
-from vlmm_log.readers.stamps import associate, limit_ns
+from vlmm_log.readers.stamps import associate, limit_ns, until_ns
 from vlmm_log.readers.stored import Kind, Shot, StoredImage, Stream, stream
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import Float64, Frame, InputError, Int64, Skipped
@@ -86,7 +86,8 @@ class FolderLog:
 
     def count(self, start_ns: int, stop_ns: int) -> int:
         """See protocols.Log."""
-        return sum(start_ns <= self.depth[j].stamp_ns - self.origin_ns < stop_ns for _, j in self.pairs)
+        since = (self.depth[j].stamp_ns - self.origin_ns for _, j in self.pairs)
+        return sum(start_ns <= ns < until_ns(stop_ns) for ns in since)
 
     def frames(self, start_ns: int, stop_ns: int) -> Iterator[Frame | Skipped]:
         """See protocols.Log. ``Frame.index`` is the row of the colour images' list in time order."""
@@ -96,7 +97,7 @@ class FolderLog:
         assembly = Assembly(self.camera, self.units_per_meter, self.poses, self.s, self.depth_camera)
         for stamp_ns, event in sorted(events, key=lambda e: e[0]):
             after_start = stamp_ns - self.origin_ns >= start_ns
-            if stamp_ns - self.origin_ns >= stop_ns:
+            if stamp_ns - self.origin_ns >= until_ns(stop_ns):
                 continue
             if isinstance(event, Skipped):
                 if after_start or start_ns <= 0:  # rows before the first frame are told too
@@ -110,7 +111,7 @@ class FolderLog:
         shots += [self._shot("depth", j) for j in range(len(self.depth))]
         for shot in sorted([*shots, *self.left_out], key=lambda x: x.stamp_ns):
             since = shot.stamp_ns - self.origin_ns
-            if since < stop_ns and (start_ns <= since or (start_ns <= 0 and isinstance(shot, Skipped))):
+            if since < until_ns(stop_ns) and (start_ns <= since or (start_ns <= 0 and isinstance(shot, Skipped))):
                 yield shot
 
     def _alone(self) -> Iterator[Skipped]:
@@ -159,6 +160,7 @@ def associated(
             f"{path}: no colour image within {s.association_s} s of a depth image; "
             "check the stamps or raise --set read.association_s"
         )
+    poses = None if s.poses == "none" else poses
     origin_ns = depth[pairs[0][1]].stamp_ns
     told = [replace(x, stamp_ns=x.stamp_ns or origin_ns) for x in left_out]  # what has no time of its own
     notes = Assembly(camera, units, poses, s).notes()
@@ -173,6 +175,8 @@ def _read(folder: Path, name: str) -> StoredImage:
         path = (folder / name).resolve()
         if not path.is_relative_to(folder.resolve()):
             raise ImageError("listed file lies outside the folder")
+        if path.is_fifo():  # it would be waited for
+            raise ImageError("listed path is a pipe")
         return StoredImage(path.read_bytes())
     except FileNotFoundError as e:
         raise ImageError("listed file is missing") from e

@@ -8,6 +8,7 @@ from decimal import Decimal
 import numpy as np
 
 LATEST_NS = 2**62  # a stamp and a limit add up within 64 bits
+FOREVER_NS = 10**17  # three years: what is asked for so long is asked for to the end
 
 
 def seconds_to_ns(text: str) -> int:
@@ -24,6 +25,11 @@ def seconds_to_ns(text: str) -> int:
 def limit_ns(seconds: float) -> int:
     """Nanoseconds of a limit, which may be infinite: at most as many as stamps can differ by."""
     return round(min(seconds, 4e9) * 1e9)
+
+
+def until_ns(stop_ns: int) -> int:
+    """The same limit, or none at all: a clock that is set while recording may jump by decades."""
+    return stop_ns if stop_ns < FOREVER_NS else 2**63
 
 
 def associate(a: Sequence[int], b: Sequence[int], tolerance_ns: int) -> list[tuple[int, int]]:

@@ -199,7 +199,7 @@ FAULTS = (
     Fault("positions in mm", IN_MM, POSES, "position_units_per_meter", ("1000",)),
     Fault("poses 100 ms late", stamps("groundtruth.txt", 0.1), CLOCK, "pose_offset_s", (-0.1,), 0.02),
     Fault("poses 60 ms early", stamps("groundtruth.txt", -0.06), CLOCK, "pose_offset_s", (0.06,), 0.02),
-    Fault("poses frozen", _frozen(), ("pose motion",)),
+    Fault("poses frozen", _frozen(), ("pose motion",), "poses", ("none",)),
     Fault("poses of another clock", stamps("groundtruth.txt", 7200.0), ("pose coverage",)),
     Fault("quaternions of one decimal", CARELESS, ROWS),
     Fault("depth in mm", of_depth(lambda z: np.rint(z / 5.0)), SCALE, UNITS, ("1000",)),

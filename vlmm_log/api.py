@@ -68,8 +68,9 @@ def process(
     s = settings or Settings()
     log, reader = opened(source, s.read)
     inputs = [Path(source)] if isinstance(source, str | Path) else []
+    where = inputs[0] if inputs else log.name
     if s.ego.model == "off" and not log.has_poses:
-        raise InputError(f"{log.name}: no poses, and ego.model = off needs them; use rigid or row_linear")
+        raise InputError(f"{where}: no poses, and ego.model = off needs them; use rigid or row_linear")
     asked, by_parser = parse(queries, s)
     expected = expected_pairs(log.count(*_window(s)), s.keyframes)
     target, map_target = (None if name is None else Path(name) for name in (rrd, map))
@@ -89,7 +90,7 @@ def process(
             e.add_note(f"what was written until then is kept as {kept}")
         raise
     if not end.pairs and end.complete:
-        raise InputError(f"{log.name}: no pair of frames could be processed{_why(summary)}")
+        raise InputError(f"{where}: no pair of frames could be processed{_why(summary)}")
     saved = SavedMap(watching.world.map, run, end, watching.origin_ns, watching.camera)
     outputs = [r.written for r in recordings if r.written]
     if map_target is not None and end.complete:

@@ -18,7 +18,7 @@ from vlmm_log.readers import opened, recognise
 from vlmm_log.readers.assembly import parse_shift
 from vlmm_log.readers.images import ImageError, decode_rgb
 from vlmm_log.readers.stamps import limit_ns
-from vlmm_log.readers.stored import Shot, StoredLog
+from vlmm_log.readers.stored import Kind, Shot, StoredLog
 from vlmm_log.settings import Settings
 from vlmm_log.types import InputError, Skipped
 from vlmm_log.version import __version__
@@ -33,6 +33,7 @@ from vlmm_log.writers.tum import TumFolder
 Container = Literal["mcap", "bag", "ros2", "ros2-mcap", "tum"]
 SUFFIXES: dict[str, Container] = {".mcap": "mcap", ".bag": "bag"}
 LIBRARIES = ("mcap", "numpy", "opencv-python-headless", "rosbags")
+CALLED: dict[Kind, str] = {"rgb": "colour", "depth": "depth"}
 FIRST = 100  # colour images that are tried for their size
 
 
@@ -90,7 +91,8 @@ def convert(
     "compressed" (PNG, JPEG, compressedDepth); a TUM folder keeps the files of the log, if it holds any. What the
     settings say of reading is done: window, intrinsics, conventions of poses, offsets. The output is written beside
     and renamed; an existing one is replaced only with ``force``. ``progress`` is told depth images done and expected.
-    Raises InputError where source, settings or output cannot be used, and where no image could be written.
+    Raises InputError where source, settings or output cannot be used, and where no colour or no depth image could be
+    written.
     """
     s = settings or Settings()
     out = Path(out)
@@ -99,10 +101,12 @@ def convert(
     found, reader = opened(source, s.read)
     kind = _container(out, to, reader)
     inputs = [Path(source)] if isinstance(source, str | Path) else []
+    _check_links(out)
     if kind in SUFFIXES.values():
         claim([out], force=force, inputs=inputs)
     else:
         claim_folder(out, inputs, force=force)
+    _check_outside(out, inputs)
     if kind == "tum":
         _check_tum_name(out)
     log = _stored(found)
@@ -111,8 +115,7 @@ def convert(
     skipped: Counter[str] = Counter()
     with _writer(log, chain, kind, cast(Images, images), out, s, about) as writer:
         _write_all(log, chain, writer, skipped, s, progress)
-        if not any("image" in name or name in ("rgb.txt", "depth.txt") for name in writer.counts):
-            raise InputError(f"{log.name}: no image could be written{_why(skipped)}")
+        _check_written(log.name, writer.counts, skipped)
     notes = (*log.notes, *(chain.notes if chain else ()), *writer.notes)
     return Converted(out, kind, dict(sorted(writer.counts.items())), skipped, notes)
 
@@ -132,6 +135,19 @@ def _container(out: Path, to: str, reader: str) -> Container:
         wanted = next((s for s, kind in SUFFIXES.items() if kind == to), None)
         raise InputError(f"{out}: {to!r} is written to {f'a file NAME{wanted}' if wanted else 'a folder'}; name it so")
     return cast(Container, to)
+
+
+def _check_links(out: Path) -> None:
+    try:
+        out.resolve()
+    except RuntimeError as e:
+        raise InputError(f"{out}: cannot be written: a loop of links; name another place") from e
+
+
+def _check_outside(out: Path, inputs: list[Path]) -> None:
+    """Refuse to change what an input folder holds: a .mcap among images makes it a bag."""
+    if any(source.is_dir() and source.resolve() in out.resolve().parents for source in inputs):
+        raise InputError(f"{out}: lies within the input; name a place outside of it")
 
 
 def _check_tum_name(out: Path) -> None:
@@ -236,6 +252,15 @@ def _rgb_size(log: StoredLog) -> tuple[int, int]:
             continue
         return pixels.shape[0], pixels.shape[1]
     raise InputError(f"{log.name}: none of the first {FIRST} colour images can be read, so their size is not known")
+
+
+def _check_written(name: str, counts: Counter[str], skipped: Counter[str]) -> None:
+    """Refuse to leave an output that no frame could be read from."""
+    images = [stream for stream in counts if "image" in stream or stream in ("rgb.txt", "depth.txt")]
+    missing = [called for kind, called in CALLED.items() if not any(kind in stream for stream in images)]
+    if missing:
+        what = f"{missing[0]} image" if images else "image"
+        raise InputError(f"{name}: no {what} could be written{_why(skipped)}")
 
 
 def _why(skipped: Counter[str]) -> str:

@@ -38,7 +38,11 @@ class ReadSettings:
     pose_gap_s: float = knob(
         0.1, "largest time between the two poses that a frame's pose is taken from, s", low=0, high=math.inf
     )
-    poses: str = knob("camera_to_world", "what a listed pose maps", of=("camera_to_world", "world_to_camera"))
+    poses: str = knob(
+        "camera_to_world",
+        "what a listed pose maps; none: poses are not used",
+        of=("camera_to_world", "world_to_camera", "none"),
+    )
     quaternion: str = knob("xyzw", "order in which quaternions are listed", of=("xyzw", "wxyz"))
     camera_axes: str = knob(
         "optical",

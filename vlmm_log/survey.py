@@ -13,7 +13,7 @@ import numpy as np
 
 from vlmm_log.protocols import Log
 from vlmm_log.readers import opened
-from vlmm_log.readers.stamps import LATEST_NS
+from vlmm_log.readers.stamps import LATEST_NS, limit_ns
 from vlmm_log.readers.stored import StoredLog, Stream
 from vlmm_log.settings import Settings
 from vlmm_log.types import Frame, InputError, Skipped
@@ -23,7 +23,7 @@ FIRST_S = 1.0  # poses of a bag are read for so long only
 
 @dataclass(frozen=True)
 class FirstFrame:
-    """The first frame that could be read."""
+    """The first frame from the chosen start on that could be read."""
 
     stamp_ns: int
     width: int  # px
@@ -68,7 +68,7 @@ def info(source: str | Path | Log, *, settings: Settings | None = None) -> Info:
         raise InputError(f"{log.name}: the {reader} reader gives frames only; there is nothing else to tell")
     stored = cast(StoredLog, log)
     skipped: Counter[str] = Counter()
-    first = _first(stored, skipped)
+    first = _first(stored, limit_ns(s.read.start_s), skipped)
     images = [x for x in stored.streams if x.role in ("rgb", "depth") and x.first_ns is not None]
     ends = [(x.first_ns or 0, x.last_ns or 0) for x in images]
     span_s = (max(e for _, e in ends) - min(b for b, _ in ends)) / 1e9 if ends else math.nan
@@ -90,8 +90,8 @@ def info(source: str | Path | Log, *, settings: Settings | None = None) -> Info:
     )
 
 
-def _first(log: StoredLog, skipped: Counter[str]) -> FirstFrame | None:
-    with closing(log.frames(0, LATEST_NS)) as frames:  # type: ignore[type-var]
+def _first(log: StoredLog, start_ns: int, skipped: Counter[str]) -> FirstFrame | None:
+    with closing(log.frames(start_ns, LATEST_NS)) as frames:  # type: ignore[type-var]
         for item in frames:
             if isinstance(item, Skipped):
                 skipped[item.reason] += 1

@@ -66,7 +66,7 @@ def print_answer(found: Found, limit: int, explain: bool) -> None:
     for told in found.told:
         console.print(f"  {told}", highlight=False)
     for path in found.outputs:
-        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        console.print(f"wrote {printable(str(path))}", highlight=False, soft_wrap=True)
 
 
 ROWS = {  # figure -> what the table calls it, how it is written
@@ -107,7 +107,7 @@ def print_run(done: Processed) -> None:
     from rich.text import Text
 
     console = Console(markup=False)  # names may hold brackets
-    title = Text(f"{done.run.source} ({done.run.reader}), medians over pairs")
+    title = Text(printable(f"{done.run.source} ({done.run.reader}), medians over pairs"))
     table = Table(title=title, title_justify="left")
     table.add_column("figure")
     table.add_column("value", justify="right")
@@ -116,7 +116,7 @@ def print_run(done: Processed) -> None:
         if name in figures:
             table.add_row(label, form.format(figures[name]))
     for reason, count in sorted(done.summary.skipped.items()):
-        table.add_row(Text(f"noted: {reason}"), str(count))
+        table.add_row(Text(printable(f"noted: {reason}")), str(count))
     console.print(table)
     console.print(_elements_line(done), highlight=False)
     for found in done.answers:
@@ -124,11 +124,11 @@ def print_run(done: Processed) -> None:
         names = printable(names)
         console.print(f"{found.text!r}: {found.matches} of the map's elements{': ' if names else ''}{names}")
     for note in (*done.run.notes, *done.end.told):
-        console.print(f"  {note}", highlight=False)
+        console.print(f"  {printable(note)}", highlight=False)
     for path in done.outputs:
         size = path.stat().st_size / 1e6
         state = "" if done.end.complete else " (interrupted: readable up to the last pair)"
-        console.print(f"wrote {path}{state}, {size:.1f} MB", highlight=False, soft_wrap=True)
+        console.print(f"wrote {printable(str(path))}{state}, {size:.1f} MB", highlight=False, soft_wrap=True)
     if not done.end.complete and not done.outputs:
         console.print("interrupted before the first pair: nothing was kept")
 
@@ -145,7 +145,7 @@ def print_info(told: Info) -> None:
         streams.add_column(name, justify=side, overflow="fold")  # type: ignore[arg-type]
     streams.add_column("longest gap", justify="right")
     for x in told.streams:
-        cells = (x.role, printable(x.name), x.type, _known(x.count), _known(x.rate_hz, "{:.2f}"))
+        cells = (x.role, printable(x.name), printable(x.type), _known(x.count), _known(x.rate_hz, "{:.2f}"))
         streams.add_row(*(Text(cell) for cell in (*cells, _known(x.longest_gap_s, "{:.3f} s"))))
     console.print(streams)
     lines = [f"about {told.frames} frames in {told.span_s:.1f} s"]
@@ -192,4 +192,4 @@ def print_converted(done: Converted) -> None:
         console.print(f"  {printable(name)}: {count}", highlight=False, soft_wrap=True)
     for line in (*done.notes, *(f"noted: {reason}, {n} times" for reason, n in sorted(done.skipped.items()))):
         console.print(f"  {printable(line)}", highlight=False, soft_wrap=True)
-    console.print(f"wrote {done.out}", highlight=False, soft_wrap=True)
+    console.print(f"wrote {printable(str(done.out))}", highlight=False, soft_wrap=True)

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from vlmm_log.readers.bag.containers import Container, Message, MessageError
 from vlmm_log.readers.bag.messages import stamp_of
 from vlmm_log.types import Int64
 
+SAME_RATE_NS = 500_000_000  # clocks that are so near to each other are one
 PROBED = 5  # messages that are tried from one place on
 
 
-def recorded_at(container: Container, topic: str, stamp_ns: int) -> int | None:
-    """Log time of the topic's first message that is stamped so late, by bisection; None where it is not known.
+def recorded_at(container: Container, topic: str, stamp_ns: int, even_ns: int) -> int:
+    """Log time of the topic's first message that is stamped so late.
 
-    Simulators let time pass at another rate than recorders.
+    It is ``even_ns`` if both clocks run at one rate. Simulators let time pass at another one than recorders: then it
+    is found by bisection, as far as the container's index tells log times.
     """
     times = container.log_times(topic)
     if times is None or not times.size:
-        return None
+        return even_ns
     low, high = 0, int(times.size)
+    there = min(int(np.searchsorted(times, even_ns)), high - 1)
+    found = _stamp_from(container, topic, times, there)
+    if found is not None and abs((found - stamp_ns) - (int(times[there]) - even_ns)) < SAME_RATE_NS:
+        return even_ns
     while low < high:
         middle = (low + high) // 2
         found = _stamp_from(container, topic, times, middle)

@@ -24,12 +24,11 @@ from vlmm_log.readers.bag.transforms import Tree
 from vlmm_log.readers.images import ImageError
 from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.readers.poses import Poses
-from vlmm_log.readers.stamps import LATEST_NS, limit_ns
+from vlmm_log.readers.stamps import FOREVER_NS, limit_ns, until_ns
 from vlmm_log.readers.stored import Kind, Shot, StoredImage, Stream, stream
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import Float64, Frame, InputError, Skipped
 
-FOREVER_S = 1e8  # three years
 STILL_NS = 5_000_000_000
 FLOATS = ("32FC1", "64FC1")
 LARGEST_TOLERANCE_S = 1.0  # beyond it, images would have to be held back for longer than they may be late
@@ -104,7 +103,7 @@ class BagLog:
         c = self.choice
         told = [f"{self.container.kind}: colour {c.rgb.topic.name}, depth {c.depth.topic.name}"]
         told += [*self._assembly().notes(), *self._cameras.notes, *self._told]
-        limited = " in the chosen window" if self.s.stop_s < FOREVER_S or self.s.start_s else ""
+        limited = " in the chosen window" if limit_ns(self.s.stop_s) < FOREVER_NS or self.s.start_s else ""
         found = "no poses" if self.poses is None else f"{self.poses.stamps_ns.size} poses from {self.poses.source}"
         told.append(found + limited)
         return [*told, f"the first frame at {self.origin_ns} ns"]
@@ -164,7 +163,7 @@ class BagLog:
         with closing(self._pairs(start_ns, stop_ns)) as pairs:
             for item in pairs:
                 since_ns = (item.stamp_ns if isinstance(item, Skipped) else item[1].stamp_ns) - self.origin_ns
-                if since_ns >= stop_ns or (start_ns > 0 and since_ns < start_ns):
+                if since_ns >= until_ns(stop_ns) or (start_ns > 0 and since_ns < start_ns):
                     continue
                 if isinstance(item, Skipped):
                     yield item
@@ -178,7 +177,7 @@ class BagLog:
         """See stored.StoredLog."""
         yield from self.left_out
         for shot in self._shots(*self._log_window(start_ns, stop_ns)):
-            if isinstance(shot, Skipped) or start_ns <= shot.stamp_ns - self.origin_ns < stop_ns:
+            if isinstance(shot, Skipped) or start_ns <= shot.stamp_ns - self.origin_ns < until_ns(stop_ns):
                 yield shot
 
     def _assembly(self) -> Assembly:
@@ -210,17 +209,16 @@ class BagLog:
         """The window of log time that holds a window of stamps, with room for images that come early or late."""
         first, last = self.container.start_ns, self.container.stop_ns
         if start_ns > 0:
-            first = max(first, min(self._recorded(start_ns)) - LATENESS_NS)
-        if stop_ns < LATEST_NS // 4:
-            last = min(last, max(self._recorded(stop_ns)) + LATENESS_NS)
+            first = max(first, self._recorded(start_ns) - LATENESS_NS)
+        if stop_ns < FOREVER_NS:
+            last = min(last, self._recorded(stop_ns) + LATENESS_NS)
         return first, max(first, last)
 
-    def _recorded(self, since_ns: int) -> tuple[int, int]:
-        """Log times at which the moment may lie: by the first frame's latency, and by the stamps of depth images."""
-        even = self.origin_ns + self._latency_ns + since_ns
+    def _recorded(self, since_ns: int) -> int:
+        """Log time of the moment so long after the first frame."""
         stamp_ns = self.origin_ns + since_ns - round(self.s.depth_offset_s * 1e9)
-        found = recorded_at(self.container, self.choice.depth.topic.name, stamp_ns)
-        return even, even if found is None else found
+        even_ns = self.origin_ns + self._latency_ns + since_ns
+        return recorded_at(self.container, self.choice.depth.topic.name, stamp_ns, even_ns)
 
     def _pairs(self, start_ns: int, stop_ns: int) -> Generator[Pair | Skipped]:
         """By time; what is damaged has only the recorder's, which may be far from that of the stamps."""
@@ -266,7 +264,7 @@ class BagLog:
                 break
             self._told.append(f"no poses could be had from {pose}")
         self._told += [f"transforms: {conflict}" for conflict in tree.conflicts()]
-        if poses is None:
+        if poses is None or self.s.poses == "none":
             return None
         return Poses(poses.links, poses.source, conventions.asked(self.s, poses.convention), poses.up)
 

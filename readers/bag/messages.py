@@ -10,6 +10,7 @@ import numpy as np
 
 from vlmm_log.readers.bag.containers import MessageError
 from vlmm_log.readers.intrinsics import Intrinsics, checked
+from vlmm_log.readers.stamps import LATEST_NS
 from vlmm_log.readers.stored import StoredImage
 from vlmm_log.types import Float64, InputError
 
@@ -57,9 +58,12 @@ def stamp_of(message: Any) -> int:
     if seconds is None and nanos is None:
         raise MessageError("message has no stamp")
     try:
-        return int(seconds or 0) * 1_000_000_000 + int(nanos or 0)
+        stamp_ns = int(seconds or 0) * 1_000_000_000 + int(nanos or 0)
     except (ValueError, TypeError, OverflowError) as e:  # JSON holds what it likes
         raise MessageError("message's stamp is no number") from e
+    if abs(stamp_ns) > LATEST_NS:
+        raise MessageError("message's stamp is beyond what nanoseconds in 64 bits hold")
+    return stamp_ns
 
 
 def frame_of(message: Any) -> str:

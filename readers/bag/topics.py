@@ -167,7 +167,7 @@ def _rgb_score(s: Stream, beside: Stream) -> tuple[float, str]:
     name = s.topic.name.lower()
     named = any(word in name for word in ("rgb", "color", "colour"))
     colour = named or s.encoding.startswith(("rgb", "bgr", "bayer"))
-    other = any(word in name for word in NO_COLOUR) or _infrared(name)
+    other = any(word in name for word in NO_COLOUR) or _infrared(name) or s.encoding.startswith(DEPTH_ENCODINGS)
     same_frame = s.frame == beside.frame
     shared = _shared(s.topic.name, beside.topic.name)
     points = 2.0 * colour - 4.0 * other + 1.5 * same_frame + 0.5 * min(shared, 2) + 0.3 * ("rect" in name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +42,7 @@ class Timeline:
 def read_timeline(log: StoredLog, s: ReadSettings) -> Timeline:
     """The stamps of a log within the settings' window. No image is loaded."""
     stamps: dict[str, list[int]] = {"rgb": [], "depth": []}
-    left_out = Counter(row.reason for row in _lost_rows(log))
+    left_out: Counter[str] = Counter()
     for shot in log.shots(-LATEST_NS, LATEST_NS):
         if isinstance(shot, Skipped):
             left_out[shot.reason] += 1
@@ -55,10 +54,3 @@ def read_timeline(log: StoredLog, s: ReadSettings) -> Timeline:
     since = depth[pairs[:, 1]] - origin_ns
     pairs = pairs[(since >= limit_ns(s.start_s)) & (since < limit_ns(s.stop_s))]
     return Timeline(rgb, depth, pairs, origin_ns, left_out)
-
-
-def _lost_rows(log: StoredLog) -> Iterator[Skipped]:
-    """Rows of a folder's lists that never became an image or a pose."""
-    for row in getattr(log, "left_out", ()):
-        if "image within" not in row.reason:  # told by the association
-            yield row

@@ -92,7 +92,7 @@ def _standing(case: Case, poses: Poses, pairs: list[MotionPair]) -> Told:
         if count >= FEWEST_PAIRS and count > 0.2 * len(seen):
             of = f"{text} on {count} of {len(seen)} pairs: {np.median(seen[which]):.1f} px seen, "
             of += f"{np.median(predicted[which]):.1f} px predicted"
-            remedy = "take the poses out (the camera's motion is then estimated), or list those of this recording"
+            remedy = "--set read.poses=none"  # the camera's motion is then estimated
             yield Finding("pose motion", of, remedy, figures)
             return
     text = f"images move by {np.median(seen):.1f} px a pair, poses predict {np.median(predicted):.1f} px"
