@@ -521,3 +521,10 @@ def test_folders_that_are_no_bags_are_told(tmp_path):
         open_container(tmp_path)
     with pytest.raises(InputError, match="no such file"):
         open_container(tmp_path / "none.bag")
+
+
+def test_a_folder_of_several_recordings_is_not_one(tmp_path):
+    for name in ("morning.mcap", "evening.mcap"):
+        write_mcap(tmp_path / name, sample(5))
+    with pytest.raises(InputError, match=r"holds several recordings .* take one of them: evening.mcap, morning.mcap"):
+        open_container(tmp_path)

@@ -137,7 +137,7 @@ def process(
         keyframes__gap=int(gap) if gap and len(gap) < 5 and gap.isascii() and gap.isdigit() else gap,
         log__dense=True if dense else None,
     )
-    rrd = rrd or Path(f"{source.resolve().name}.rrd")  # the closing table names it
+    rrd = rrd or Path(f"{source.absolute().name}.rrd")  # the closing table names it
     with progress("pairs") as told:
         done = run(source, rrd=rrd, map=map_file, queries=queries, settings=settings, force=force, progress=told)
     if as_json:

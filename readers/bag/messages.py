@@ -35,7 +35,8 @@ POSES = {
     "foxglove.PoseInFrame",
     "foxglove_msgs/msg/PoseInFrame",
 }
-UNREADABLE = (AttributeError, ValueError, TypeError)  # of messages that lack a field, or hold something else in it
+# Of messages that lack a field, or hold something else in it; JSON holds infinities too.
+UNREADABLE = (AttributeError, ValueError, TypeError, OverflowError)
 MODELS = {"": "plumb_bob", "plumb_bob": "plumb_bob", "rational_polynomial": "rational_polynomial"}
 MODELS |= {"equidistant": "equidistant", "kannala_brandt": "equidistant", "fisheye": "equidistant"}
 

@@ -141,8 +141,6 @@ def index_times(record: BagRecord, data: bytes) -> tuple[int, Int64]:
 
 def decompressed(data: bytes, compression: bytes, size: int) -> bytes:
     """The content of a chunk, whose own checksums bz2 and lz4 verify. Raises ChunkError."""
-    import lz4.frame  # type: ignore[import-untyped]
-
     try:
         match compression:
             case b"none":
@@ -150,7 +148,7 @@ def decompressed(data: bytes, compression: bytes, size: int) -> bytes:
             case b"bz2":
                 plain = bz2.decompress(data)
             case b"lz4":
-                plain = lz4.frame.decompress(data)
+                plain = _lz4_frames(data)
             case other:
                 raise ChunkError(f"chunk compression {other.decode(errors='replace')[:20]!r} is not read")
     except (OSError, ValueError, RuntimeError, EOFError, MemoryError) as e:
@@ -158,6 +156,18 @@ def decompressed(data: bytes, compression: bytes, size: int) -> bytes:
     if len(plain) != size:
         raise ChunkError("chunk is damaged")
     return plain
+
+
+def _lz4_frames(data: bytes) -> bytes:
+    """All LZ4 frames in a row: recorders write one a chunk, rosbag ported to plain Python one a write."""
+    import lz4.frame  # type: ignore[import-untyped]
+
+    parts, rest = [], memoryview(data)
+    while rest:
+        part, read = lz4.frame.decompress(rest, return_bytearray=False, return_bytes_read=True)
+        parts.append(part)
+        rest = rest[read:]
+    return b"".join(parts)
 
 
 def decompressed_head(data: bytes, compression: bytes) -> bytes:

@@ -62,6 +62,7 @@ def _files(path: Path, told: Mapping[str, Any], losses: list[Skipped]) -> list[P
     """The parts that are there, in order."""
     present = sorted((p for p in path.iterdir() if p.is_file() and is_part(p)), key=_natural)
     if not told:
+        _check_one(path, present)
         return present
     files = []
     for name in (PurePath(str(entry)).name for entry in told["relative_file_paths"]):
@@ -73,6 +74,14 @@ def _files(path: Path, told: Mapping[str, Any], losses: list[Skipped]) -> list[P
             files.append(found)
     losses += [Skipped(0, p.name, "part is not named in metadata.yaml") for p in present if p not in files]
     return files
+
+
+def _check_one(path: Path, present: Sequence[Path]) -> None:
+    """Without metadata.yaml, only files NAME_0, NAME_1, ... are taken for parts of one recording."""
+    stems = {re.sub(r"_\d+$", "", p.name.removesuffix(".zstd").rsplit(".", 1)[0]) for p in present}
+    if len(stems) > 1:
+        names = ", ".join(p.name for p in present[:5])
+        raise InputError(f"{path}: holds several recordings and no metadata.yaml; take one of them: {names}")
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

@@ -46,7 +46,7 @@ def _channels(db: sqlite3.Connection) -> dict[int, Channel]:
     if "message_definitions" in tables:
         query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
         for name, language, text in db.execute(query):
-            definitions.setdefault(name, (language, text.encode()))
+            definitions.setdefault(name, (language or "", (text or "").encode()))  # NULL in a damaged file
     found = {}
     for key, name, type_, encoding in db.execute("SELECT id, name, type, serialization_format FROM topics"):
         found[int(key)] = channel(name, type_, encoding, *definitions.get(type_, ("", b"")))
