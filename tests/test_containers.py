@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 from types import SimpleNamespace
 
+import lz4.frame
 import numpy as np
 import pytest
 import zstandard
@@ -18,7 +19,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 
+from vlmm_log.readers.bag.chunked import ChunkError
 from vlmm_log.readers.bag.containers import Message, MessageError, is_container, open_container
+from vlmm_log.readers.bag.rosbag1_records import decompressed
 from vlmm_log.types import InputError, Skipped
 
 EVER = 2**62
@@ -431,6 +434,15 @@ def test_a_bag_whose_recorder_was_killed_is_read_to_its_end(compression, tmp_pat
     messages, losses = opened(path)
     assert [identity(m) for m in messages] == [identity(m) for m in whole]
     assert losses[0].reason == "bag has no usable index; its records were read in turn"
+
+
+def test_a_chunk_of_several_lz4_frames_is_read_whole():
+    parts = [bytes([k]) * (50_000 * k) for k in range(1, 4)]
+    data = b"".join(lz4.frame.compress(part) for part in parts)
+    whole = b"".join(parts)
+    assert decompressed(data, b"lz4", len(whole)) == whole
+    with pytest.raises(ChunkError):
+        decompressed(data[:-9], b"lz4", len(whole))
 
 
 def test_damaged_pages_of_a_database_cost_their_rows_only(tmp_path):

@@ -123,7 +123,8 @@ def first_image(container: Container, topic: Topic) -> Stream | None:
             try:
                 content: Any = message.decode()
                 image = image_of(content, topic.type)
-                return Stream(topic, image.encoding or _form(content, image.data), frame_of(content), (image.height, image.width))
+                encoding = image.encoding or _form(content, image.data)
+                return Stream(topic, encoding, frame_of(content), (image.height, image.width))
             except (MessageError, *UNREADABLE):
                 pass
         if k > 20:
@@ -134,8 +135,8 @@ def first_image(container: Container, topic: Topic) -> Stream | None:
 def _form(message: Any, data: bytes | memoryview) -> str:
     """What an encoded image says of itself; Foxglove's format names no pixels, so a PNG's own header is asked."""
     form = str(getattr(message, "format", ""))
-    head = bytes(data[: len(GREY_16_BIT) + 16])
-    grey_16_bit = head[:16] == PNG_HEAD and head[24:] == GREY_16_BIT
+    head = bytes(data[:26])
+    grey_16_bit = head.startswith(b"\x89PNG") and head[24:] == b"\x10\x00"  # IHDR: bits, colour type
     return f"16UC1; {form}" if form == "png" and grey_16_bit else form
 
 
