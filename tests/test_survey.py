@@ -10,6 +10,7 @@ import bags
 from bags import ORIGIN_NS, STEP_NS, Messages
 from tum_folder import write_tum_folder
 from vlmm_log.survey import info
+from vlmm_log.types import InputError
 
 OPTICAL = "camera_optical"
 
@@ -87,3 +88,19 @@ def test_a_long_bag_is_not_read_through(tmp_path, monkeypatch):
         monkeypatch.undo()
         counts.append(len(seen))
     assert counts[0] == counts[1] < 1000
+
+
+@pytest.mark.parametrize("kind", bags.KINDS)
+def test_a_bag_without_images_is_told_by_its_topics(tmp_path, kind):
+    m = Messages(kind)
+    records = [("/odom", ORIGIN_NS + k, m.odometry(ORIGIN_NS, "odom", "base", [0.0] * 6 + [1.0])) for k in range(3)]
+    told = info(bags.write(bags.suffixed(tmp_path, kind), kind, records))
+    assert [(x.name, x.count, x.role) for x in told.streams] == [("/odom", 3, "")]
+    assert "no depth topic" in told.problem
+    assert told.frames == 0
+
+
+def test_a_bag_that_is_none_is_refused(tmp_path):
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0")
+    with pytest.raises(InputError):
+        info(tmp_path / "a.bag")

@@ -13,6 +13,8 @@ import numpy as np
 
 from vlmm_log.protocols import Log
 from vlmm_log.readers import opened
+from vlmm_log.readers.bag.containers import Container, is_container, open_container
+from vlmm_log.readers.bag.log import streams_of
 from vlmm_log.readers.stamps import LATEST_NS, limit_ns
 from vlmm_log.readers.stored import StoredLog, Stream
 from vlmm_log.settings import Settings
@@ -49,6 +51,7 @@ class Info:
     candidates: dict[str, tuple[str, ...]]  # per role, best first
     notes: tuple[str, ...]
     skipped: dict[str, int]  # reason -> how often, up to the first frame: what the index knows
+    problem: str = ""  # why a bag gives no frames as it is; then only its topics are known
 
     def report(self) -> dict[str, object]:
         """As JSON takes it; what is not known is None."""
@@ -59,16 +62,25 @@ class Info:
 def info(source: str | Path | Log, *, settings: Settings | None = None) -> Info:
     """What a log holds: topics or files, counts, rates, sizes, intrinsics, where poses come from.
 
-    Raises InputError where the source cannot be opened, with what is missing.
+    A bag that gives no frames as it is (no images, no camera info) is told by its topics, with the problem.
+    Raises InputError where the source cannot be opened.
     """
     s = settings or Settings()
     beginning = replace(s.read, stop_s=min(s.read.stop_s, s.read.start_s + FIRST_S))
-    log, reader = opened(source, beginning)
+    try:
+        return _of_log(*opened(source, beginning), limit_ns(s.read.start_s))
+    except InputError as e:
+        if not isinstance(source, str | Path) or not is_container(Path(source)):
+            raise
+        return _of_topics(open_container(Path(source)), str(e))
+
+
+def _of_log(log: Log, reader: str, start_ns: int) -> Info:
     if not hasattr(log, "streams"):
         raise InputError(f"{log.name}: the {reader} reader gives frames only; there is nothing else to tell")
     stored = cast(StoredLog, log)
     skipped: Counter[str] = Counter()
-    first = _first(stored, limit_ns(s.read.start_s), skipped)
+    first = _first(stored, start_ns, skipped)
     images = [x for x in stored.streams if x.role in ("rgb", "depth") and x.first_ns is not None]
     ends = [(x.first_ns or 0, x.last_ns or 0) for x in images]
     span_s = (max(e for _, e in ends) - min(b for b, _ in ends)) / 1e9 if ends else math.nan
@@ -88,6 +100,14 @@ def info(source: str | Path | Log, *, settings: Settings | None = None) -> Info:
         tuple(stored.notes),
         dict(skipped),
     )
+
+
+def _of_topics(container: Container, problem: str) -> Info:
+    streams = streams_of(container, {})
+    span_s = (container.stop_ns - container.start_ns) / 1e9
+    skipped = dict(Counter(lost.reason for lost in container.losses))
+    name = container.path.resolve().name
+    return Info(name, "bag", streams, 0, span_s, None, {}, 0.0, True, "", {}, (container.kind,), skipped, problem)
 
 
 def _first(log: StoredLog, start_ns: int, skipped: Counter[str]) -> FirstFrame | None:

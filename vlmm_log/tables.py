@@ -149,7 +149,9 @@ def print_info(told: Info) -> None:
         streams.add_row(*(Text(cell) for cell in (*cells, _known(x.longest_gap_s, "{:.3f} s"))))
     console.print(streams)
     lines = [f"about {told.frames} frames in {told.span_s:.1f} s"]
-    if told.first is None:
+    if told.problem:
+        lines = [f"{told.span_s:.1f} s; gives no frames as it is: {told.problem}"]
+    elif told.first is None:
         lines.append("no frame could be read: `vlmm-log doctor` looks for the reason")
     else:
         f = told.first

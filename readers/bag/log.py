@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from vlmm_log.protocols import Log
 from vlmm_log.readers import conventions
 from vlmm_log.readers.assembly import Assembly
-from vlmm_log.readers.bag.cameras import Cameras, cameras, changed
+from vlmm_log.readers.bag.cameras import Cameras, cameras
 from vlmm_log.readers.bag.clock import recorded_at
-from vlmm_log.readers.bag.containers import Container, Message, MessageError, is_container, open_container
-from vlmm_log.readers.bag.messages import TRANSFORMS, UNREADABLE, image_of, stamp_of
+from vlmm_log.readers.bag.containers import Container, Message, is_container, open_container
+from vlmm_log.readers.bag.image_stream import shots
+from vlmm_log.readers.bag.messages import TRANSFORMS
+from vlmm_log.readers.bag.ranking import TF
 from vlmm_log.readers.bag.synchronise import LATENESS_NS, Pair, synchronised
-from vlmm_log.readers.bag.topics import TF, Choice, choose, parse_topics
+from vlmm_log.readers.bag.topics import Choice, choose, parse_topics
 from vlmm_log.readers.bag.trajectories import read_poses, read_tree
 from vlmm_log.readers.bag.transforms import Tree
-from vlmm_log.readers.images import ImageError
 from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.readers.poses import Poses
 from vlmm_log.readers.stamps import FOREVER_NS, limit_ns, until_ns
-from vlmm_log.readers.stored import Kind, Shot, StoredImage, Stream, stream
+from vlmm_log.readers.stored import Shot, Stream, stream
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import Float64, Frame, InputError, Skipped
 
 STILL_NS = 5_000_000_000
-FLOATS = ("32FC1", "64FC1")
 LARGEST_TOLERANCE_S = 1.0  # beyond it, images would have to be held back for longer than they may be late
 
 
@@ -113,17 +112,9 @@ class BagLog:
         """See stored.StoredLog."""
         c = self.choice
         roles = {c.rgb.topic.name: "rgb", c.depth.topic.name: "depth", c.depth_info: "depth_info", c.info: "info"}
-        roles |= {c.pose: "pose"}
-        found = []
-        for topic in self.container.topics:
-            tree = c.pose.split(":")[0] == TF and topic.type in TRANSFORMS
-            role = "pose" if tree else roles.get(topic.name, "")
-            times = self.container.log_times(topic.name)
-            if times is None:
-                found.append(Stream(topic.name, topic.type, role, topic.count, None, None, math.nan))
-            else:
-                found.append(stream(topic.name, topic.type, role, times))
-        return tuple(found)
+        if c.pose.split(":")[0] == TF:
+            roles |= {topic.name: "pose" for topic in self.container.topics if topic.type in TRANSFORMS}
+        return streams_of(self.container, roles | {c.pose: "pose"})
 
     @property
     def posed(self) -> str:
@@ -227,30 +218,8 @@ class BagLog:
         return synchronised(placed, limit_ns(self.s.association_s))
 
     def _shots(self, start_ns: int, stop_ns: int) -> Iterator[Shot | Skipped]:
-        """Images in log order."""
-        kinds: dict[str, Kind] = {self.choice.rgb.topic.name: "rgb", self.choice.depth.topic.name: "depth"}
-        late_ns = {"rgb": 0, "depth": round(self.s.depth_offset_s * 1e9)}
-        infos = self._cameras.infos
-        for message in self.container.messages([*kinds, *(name for name, _, _ in infos)], start_ns, stop_ns):
-            if isinstance(message, Skipped):
-                yield message
-                continue
-            if message.topic.name not in kinds:
-                yield from changed(infos, message)
-                continue
-            kind = kinds[message.topic.name]
-            what = f"{message.topic.name} {message.ordinal}"
-            index = message.ordinal if kind == "rgb" else None
-            try:
-                content = message.decode()
-                stamp_ns = stamp_of(content)
-            except MessageError as e:
-                yield Skipped(message.log_ns, what, str(e), index)
-                continue
-            load = partial(_image, content, message.topic.type)
-            if kind == "depth":
-                load = partial(_depth, load, self.choice.depth.encoding)
-            yield Shot(kind, stamp_ns + late_ns[kind], message.ordinal, what, load)
+        late_ns = round(self.s.depth_offset_s * 1e9)
+        return shots(self.container, self.choice, self._cameras, late_ns, (start_ns, stop_ns))
 
     @cached_property
     def poses(self) -> Poses | None:
@@ -283,18 +252,14 @@ class BagLog:
         return read_tree(self.container, start_ns, start_ns + STILL_NS, [])
 
 
-def _image(content: Any, type_name: str) -> StoredImage:
-    try:
-        return image_of(content, type_name)
-    except MessageError as e:
-        raise ImageError(str(e)) from e
-    except UNREADABLE as e:
-        raise ImageError("message lacks a field") from e
-
-
-def _depth(load: Callable[[], StoredImage], first: str) -> StoredImage:
-    """A depth image of the first one's kind, by whose unit all are scaled. Raises ImageError."""
-    image = load()
-    if image.encoding.startswith(FLOATS) != first.startswith(FLOATS):
-        raise ImageError(f"depth image's encoding {image.encoding[:40]!r} goes not with the first one's")
-    return image
+def streams_of(container: Container, roles: Mapping[str, str]) -> tuple[Stream, ...]:
+    """Every topic of a container, by its index alone; ``roles`` by topic."""
+    found = []
+    for topic in container.topics:
+        role = roles.get(topic.name, "")
+        times = container.log_times(topic.name)
+        if times is None:
+            found.append(Stream(topic.name, topic.type, role, topic.count, None, None, math.nan))
+        else:
+            found.append(stream(topic.name, topic.type, role, times))
+    return tuple(found)

@@ -9,7 +9,8 @@ import numpy as np
 
 from vlmm_log.readers.bag.containers import Container, Message, MessageError
 from vlmm_log.readers.bag.messages import TRANSFORMS, UNREADABLE, Placed, poses_of, transforms_of
-from vlmm_log.readers.bag.topics import TF, Choice
+from vlmm_log.readers.bag.ranking import TF
+from vlmm_log.readers.bag.topics import Choice
 from vlmm_log.readers.bag.transforms import Edge, Tree
 from vlmm_log.readers.conventions import PLAIN
 from vlmm_log.readers.poses import Link, Poses, Trajectory, usable_pose
