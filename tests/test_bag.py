@@ -142,6 +142,14 @@ def test_a_rectified_topic_is_measured_with_P(tmp_path):
     assert not log.camera.distortion
 
 
+def test_a_name_that_holds_rect_is_not_rectified(tmp_path):
+    m = Messages("mcap")
+    records = [(t.replace("/camera/", "/camera_direct/"), ns, x) for t, ns, x in images(m, info=False)]
+    lens = (0.1, -0.05, 0.001, 0.0, 0.0)
+    records += [("/camera_direct/rgb/camera_info", t, m.camera_info(t, OPTICAL, d=lens)) for t in STAMPS]
+    assert open_log(made(tmp_path, "mcap", records)).camera.distortion == lens
+
+
 def test_a_raw_topic_with_a_lens_is_rectified_and_says_so(tmp_path):
     m = Messages("ros2")
     records = [*images(m, info=False)]
@@ -242,6 +250,44 @@ def test_of_a_path_the_last_message_counts(tmp_path):
     frames, _ = read(made(tmp_path, "mcap", images(m), paths))
     for f in frames:
         np.testing.assert_allclose(f.T_world_cam, matrix(at(f.stamp_ns)), atol=1e-12)
+
+
+def test_a_moving_mount_is_no_world(tmp_path):
+    """base -> pan -> camera moves, but where the robot went only odometry knows."""
+    m = Messages("bag")
+    odometry = [("/odom", t, m.odometry(t, "odom", "base", at(t))) for t in STAMPS]
+    pan = tf(m, ("base", "pan", at), ("pan", OPTICAL, [0.0] * 6 + [1.0]))
+    frames, _ = read(made(tmp_path, "bag", images(m), odometry, pan))
+    for f in frames:
+        assert not np.allclose(f.T_world_cam, matrix(at(f.stamp_ns)))
+    log = open_log(tmp_path / "log.bag")
+    assert log.poses.source == log.posed == "/odom"
+    assert len(log.poses.moving) == 2  # the robot and its pan
+
+
+def test_a_window_has_the_poses_of_the_whole(tmp_path):
+    """One transform is said once, in the beginning; the others come five seconds before their images."""
+    m = Messages("mcap")
+    drift = [5.0, 0, 0, 0, 0, 0, 1.0]
+    early = [(t, at(t)) for t in range(STAMPS[0] - 10**7, STAMPS[-1] + 10**7, 10**7)]
+    moving = [("/tf", t - 5 * 10**9, m.tf(t - 5 * 10**9, ("odom", OPTICAL, v))) for t, v in early]
+    once = [("/tf", early[0][0] - 6 * 10**9, m.tf(early[0][0] - 6 * 10**9, ("map", "odom", drift)))]
+    path = made(tmp_path, "mcap", images(m), moving, once)
+    sets = ("read.pose_offset_s=5",)
+    whole, _ = read(path, *sets)
+    window = (f"read.start_s={2 * STEP_NS / 1e9}", f"read.stop_s={4.5 * STEP_NS / 1e9}")
+    part, _ = read(path, *sets, *window, window=(2 * STEP_NS, 5 * STEP_NS))
+    assert [f.index for f in part] == [2, 3, 4]
+    for a, b in zip(part, whole[2:5], strict=True):
+        np.testing.assert_array_equal(a.T_world_cam, b.T_world_cam)
+
+
+def test_a_camera_that_is_its_own_world_has_no_poses(tmp_path):
+    m = Messages("ros2")
+    path = made(tmp_path, "ros2", images(m), tf(m, (OPTICAL, "tag", at)))
+    assert open_log(path).poses is None
+    with pytest.raises(InputError, match="no transforms join"):
+        _ = open_log(path, Settings.load(sets=[f"read.topics=pose=tf:{OPTICAL}"]).read).poses
 
 
 def test_gaps_in_transforms_are_told(tmp_path):

@@ -81,6 +81,7 @@ def descriptors():
 
 
 def protobuf_messages():
+    pytest.importorskip("google.protobuf", reason="protobuf is not installed")
     from google.protobuf import descriptor_pool, json_format, message_factory
 
     files = descriptors()

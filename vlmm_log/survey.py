@@ -111,7 +111,7 @@ def _of_topics(container: Container, problem: str) -> Info:
 
 
 def _first(log: StoredLog, start_ns: int, skipped: Counter[str]) -> FirstFrame | None:
-    with closing(log.frames(start_ns, LATEST_NS)) as frames:  # type: ignore[type-var]
+    with closing(log.frames(start_ns, start_ns + limit_ns(FIRST_S))) as frames:  # type: ignore[type-var]
         for item in frames:
             if isinstance(item, Skipped):
                 skipped[item.reason] += 1

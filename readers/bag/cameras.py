@@ -111,7 +111,7 @@ def _logged_units(container: Container, choice: Choice, notes: list[str]) -> flo
                 continue
             if number > 0 and np.isfinite(number):
                 notes.append(f"depth scale from {topic.name}")
-                return number if ours else round(1.0 / number, 6)
+                return number if ours else float(f"{1.0 / number:.6g}")  # 0.001 as float32
     return 0.0
 
 
@@ -131,6 +131,8 @@ def _depth_camera(
         return None
     T = _extrinsic(s.depth_to_rgb) if s.depth_to_rgb else None
     own = _info(container, choice.depth_info, depth_topic)
+    if isinstance(own, Intrinsics) and s.distortion == "none":
+        own = replace(own, distortion=())
     same_frame = choice.rgb.frame == choice.depth.frame
     if T is None and (claimed or same_frame):
         # Whoever corrects the colour camera does not move the pixels: the log's own cameras are compared.
@@ -154,7 +156,7 @@ def _depth_camera(
             f"{container.path}: no camera_info for {depth_topic}, which is not registered to colour; "
             "give --topics depth_info=NAME"
         )
-    return intrinsics.checked(own, own.source), T
+    return _with_lens(own), T
 
 
 def _extrinsic(text: str) -> Float64:

@@ -20,7 +20,7 @@ from vlmm_log.readers.bag.messages import TRANSFORMS
 from vlmm_log.readers.bag.ranking import TF
 from vlmm_log.readers.bag.synchronise import LATENESS_NS, Pair, synchronised
 from vlmm_log.readers.bag.topics import Choice, choose, parse_topics
-from vlmm_log.readers.bag.trajectories import read_poses, read_tree
+from vlmm_log.readers.bag.trajectories import WORLDS, read_poses, read_tree
 from vlmm_log.readers.bag.transforms import Tree
 from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.readers.poses import Poses
@@ -112,20 +112,19 @@ class BagLog:
         """See stored.StoredLog."""
         c = self.choice
         roles = {c.rgb.topic.name: "rgb", c.depth.topic.name: "depth", c.depth_info: "depth_info", c.info: "info"}
-        if c.pose.split(":")[0] == TF:
+        if self.poses is not None and self.poses.source.startswith(f"{TF}, "):
             roles |= {topic.name: "pose" for topic in self.container.topics if topic.type in TRANSFORMS}
-        return streams_of(self.container, roles | {c.pose: "pose"})
+        elif self.poses is not None:
+            roles |= {self.poses.source: "pose"}
+        return streams_of(self.container, roles)
 
     @property
     def posed(self) -> str:
         """See stored.StoredLog."""
-        pose = self.choice.pose
-        if pose.split(":")[0] != TF:
-            return pose
-        line = self._still.ancestors(self.choice.rgb.frame)[::-1]
-        if len(line) < 2:
-            return f"tf does not join {self.choice.rgb.frame!r} to any frame in the log's first {STILL_NS / 1e9:g} s"
-        return f"tf, {' -> '.join(line)}"
+        if self.poses is not None:
+            return self.poses.source
+        tried = ", ".join(self._pose_topics(self._still))
+        return f"none in what was read of {tried}" if tried else ""
 
     @property
     def ranked(self) -> Mapping[str, tuple[str, ...]]:
@@ -150,7 +149,7 @@ class BagLog:
     def frames(self, start_ns: int, stop_ns: int) -> Iterator[Frame | Skipped]:
         """See protocols.Log. ``Frame.index`` is the message's position in the colour topic."""
         assembly = self._assembly()
-        yield from self.left_out  # of poses in the window, and of the whole file
+        yield from self._lost
         with closing(self._pairs(start_ns, stop_ns)) as pairs:
             for item in pairs:
                 since_ns = (item.stamp_ns if isinstance(item, Skipped) else item[1].stamp_ns) - self.origin_ns
@@ -166,10 +165,16 @@ class BagLog:
 
     def shots(self, start_ns: int, stop_ns: int) -> Iterator[Shot | Skipped]:
         """See stored.StoredLog."""
-        yield from self.left_out
+        yield from self._lost
         for shot in self._shots(*self._log_window(start_ns, stop_ns)):
             if isinstance(shot, Skipped) or start_ns <= shot.stamp_ns - self.origin_ns < until_ns(stop_ns):
                 yield shot
+
+    @property
+    def _lost(self) -> list[Skipped]:
+        """What never became an image or a pose. Poses are read first, so that what they lost is there."""
+        _ = self.poses
+        return self.left_out
 
     def _assembly(self) -> Assembly:
         return Assembly(self.camera, self.units_per_meter, self.poses, self.s, self.depth_camera)
@@ -214,7 +219,9 @@ class BagLog:
     def _pairs(self, start_ns: int, stop_ns: int) -> Generator[Pair | Skipped]:
         """By time; what is damaged has only the recorder's, which may be far from that of the stamps."""
         shots = self._shots(*self._log_window(start_ns, stop_ns))
-        placed = (replace(x, stamp_ns=x.stamp_ns - self._latency_ns) if isinstance(x, Skipped) else x for x in shots)
+        known = {(x.what, x.reason) for x in self.left_out}  # a damaged chunk may hold images and poses
+        new = (x for x in shots if not isinstance(x, Skipped) or (x.what, x.reason) not in known)
+        placed = (replace(x, stamp_ns=x.stamp_ns - self._latency_ns) if isinstance(x, Skipped) else x for x in new)
         return synchronised(placed, limit_ns(self.s.association_s))
 
     def _shots(self, start_ns: int, stop_ns: int) -> Iterator[Shot | Skipped]:
@@ -224,10 +231,14 @@ class BagLog:
     @cached_property
     def poses(self) -> Poses | None:
         """See stored.StoredLog; of the window that is asked for."""
-        window = self._log_window(limit_ns(self.s.start_s), limit_ns(self.s.stop_s))
+        first, last = self._log_window(limit_ns(self.s.start_s), limit_ns(self.s.stop_s))
+        room_ns = limit_ns(abs(self.s.pose_offset_s)) + limit_ns(self.s.pose_gap_s)
+        window = max(first - room_ns, self.container.start_ns), min(last + room_ns, self.container.stop_ns)
         tree = read_tree(self.container, *window, self.left_out)
+        if window[0] > self.container.start_ns:
+            self._told += tree.complete(self._still)
         poses = None
-        for pose in self._pose_topics:
+        for pose in self._pose_topics(tree):
             poses = read_poses(self.container, replace(self.choice, pose=pose), tree, window, self.left_out, self._told)
             if poses is not None:
                 break
@@ -237,13 +248,15 @@ class BagLog:
             return None
         return Poses(poses.links, poses.source, conventions.asked(self.s, poses.convention), poses.up)
 
-    @property
-    def _pose_topics(self) -> tuple[str, ...]:
-        """The one that was asked for; else every candidate, best first."""
+    def _pose_topics(self, tree: Tree) -> tuple[str, ...]:
+        """The one that was asked for; else every candidate, best first. A tree without a world comes last."""
         pose = self.choice.pose
         if not pose or "pose" in parse_topics(self.s.topics):
             return (pose,) if pose else ()
-        return tuple(c.topic for c in self.choice.ranked["pose"])
+        found = [c.topic for c in self.choice.ranked["pose"]]
+        if tree.ancestors(self.choice.rgb.frame)[-1] not in WORLDS:
+            found.sort(key=lambda topic: topic == TF)
+        return tuple(found)
 
     @cached_property
     def _still(self) -> Tree:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -100,7 +101,8 @@ def camera_of(message: Any, topic: str, image_topic: str) -> Intrinsics:
     K = _numbers(message, "K", "k", size=9)
     P = _numbers(message, "P", "p", size=12)
     D = np.asarray(_first(message, "D", "d") if _first(message, "D", "d") is not None else [], np.float64)
-    rectified = "rect" in image_topic.split("/")[-1] or "rect" in "".join(image_topic.split("/")[-2:-1])
+    words = re.split(r"[^a-z]+", "/".join(image_topic.lower().split("/")[-2:]))
+    rectified = "rect" in words or "rectified" in words
     matrix, which = (P.reshape(3, 4)[:, :3], "P") if rectified and P[0] else (K.reshape(3, 3), "K")
     if not matrix[0, 0] or not np.isfinite(matrix).all():
         raise InputError(f"{topic}: camera info without focal length (not calibrated); give --intrinsics fx,fy,cx,cy")

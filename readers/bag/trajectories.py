@@ -49,7 +49,9 @@ def read_poses(
 def _of_tree(container: Container, tree: Tree, frame: str, world: str) -> Poses | None:
     root = world.lstrip("/") or tree.ancestors(frame)[-1]
     links = tree.chain(root, frame)
-    if links is None:
+    if not links and not world:
+        return None  # the tree does not know the camera
+    if not links:
         raise InputError(f"{container.path}: no transforms join {root!r} and the camera's frame {frame!r}")
     if not any(isinstance(link.motion, Trajectory) for link in links):
         if root not in WORLDS and not world:
@@ -111,7 +113,8 @@ def _placed(
         return
     for message in container.messages(topics, start_ns, stop_ns):
         if isinstance(message, Skipped):
-            left_out.append(message)
+            if (message.what, message.reason) not in {(x.what, x.reason) for x in left_out}:
+                left_out.append(message)
             continue
         try:
             content = message.decode()

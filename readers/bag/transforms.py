@@ -61,6 +61,13 @@ class Tree:
             edge.add(placed)
             self.still[placed.child] = placed.parent, edge
 
+    def complete(self, earlier: Tree) -> list[str]:
+        """Add what an earlier part of the log alone has said; told which."""
+        missing = [child for child in earlier.moving if child not in self.moving and child not in self.still]
+        for child in missing:
+            self.moving[child] = earlier.moving[child]
+        return [f"transform of {child} as the log's beginning has it" for child in sorted(missing)]
+
     def parent(self, child: str) -> tuple[str, Edge] | None:
         """A frame's parent: the still one, else the one most often heard of."""
         if child in self.still:
