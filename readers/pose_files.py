@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,7 @@ def found_poses(path: Path, images: Timed, convention: Convention, left_out: lis
         return None
     if found[0].is_dir():
         listed = matrix_trajectory(_one_each(path, found[0].name, images, left_out), left_out)
-        return placed(listed, f"{found[0].name}/, 4x4 each", convention)
+        return placed(listed, f"{found[0].name}/, 4x4 each", of_matrices(convention))
     rows = words_of(found[0])
     widths = [len(words) for _, words in rows]
     if set(widths) == {8}:
@@ -40,7 +41,7 @@ def found_poses(path: Path, images: Timed, convention: Convention, left_out: lis
     of = row_of(images.numbers, len(matrices), found[0])
     each = ((images.taken[n], f"{found[0].name}: pose {k}", matrices[k]) for n, k in of.items())
     listed = matrix_trajectory(each, left_out)
-    return placed(listed, f"{found[0].name}, matrices", convention)
+    return placed(listed, f"{found[0].name}, matrices", of_matrices(convention))
 
 
 def _one_each(path: Path, folder: str, images: Timed, left_out: list[Skipped]) -> list[tuple[int, str, Float64 | None]]:
@@ -73,6 +74,11 @@ def _tum_text(path: Path, stamps: list[str], images: Timed, left_out: list[Skipp
     ]
     taken = np.array([images.taken[n] for n in numbers if n in images.taken], np.int64)
     return Trajectory(taken, listed.positions[of_image], listed.quaternions[of_image]) if taken.size else None
+
+
+def of_matrices(convention: Convention) -> Convention:
+    """The convention of poses that were matrices: no order of quaternions was listed."""
+    return replace(convention, quaternion="xyzw")
 
 
 def placed(listed: Trajectory | None, source: str, convention: Convention) -> Poses | None:

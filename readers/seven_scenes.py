@@ -15,7 +15,7 @@ from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.readers.matrices import matrix_in, matrix_trajectory
 from vlmm_log.readers.numbered import Counted, by_number, counted
 from vlmm_log.readers.plain import log_of
-from vlmm_log.readers.pose_files import placed
+from vlmm_log.readers.pose_files import of_matrices, placed
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import InputError, Skipped
 
@@ -48,7 +48,7 @@ class SevenScenes:
         listed = [(images.taken[n], f, matrix_in(path / f)) for n, f in poses.items() if n in images.taken]
         known = matrix_trajectory(listed, left_out)
         convention = conventions.asked(s, Convention())
-        where = placed(known, "frame-*.pose.txt", convention)
+        where = placed(known, "frame-*.pose.txt", of_matrices(convention))
         log = log_of(path, s, _camera(path, s), images, where, left_out)
         log.notes += _notes(s, log.units_per_meter)
         return log

@@ -67,6 +67,7 @@ def _opened(path: Path, s: Settings, tell: Progress) -> tuple[Case, list[Finding
     told: list[Finding | Evidence] = []
     try:
         case = Case.open(path, s, tell)
+        _ = case.timeline  # of a bag, only reading it tells that no images meet
     except InputError as e:
         case, finding = _brought_together(path, s, tell, e)
         told.append(finding)
@@ -93,7 +94,9 @@ def _brought_together(path: Path, s: Settings, tell: Progress, error: InputError
     message = f"no colour image has depth within {s.read.association_s:g} s; depth comes {late * 1e3:+.0f} ms after"
     finding = Finding("synchronisation", message, remedy, {"depth_minus_colour_s": late})
     try:
-        return Case.open(path, s.changed(sets_of(remedy)), tell), finding
+        case = Case.open(path, s.changed(sets_of(remedy)), tell)
+        _ = case.timeline
+        return case, finding
     except InputError:
         raise error from None
 

@@ -23,7 +23,9 @@ OF_IMAGES = (  # what decides how images are read; all else only decides how the
     "association_s",
     "depth_offset_s",
     "depth_shift_px",
+    "depth_to_rgb",
 )
+OF_STAMPS = ("topics", "association_s", "depth_offset_s", "start_s", "stop_s")  # what decides which images meet
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +66,16 @@ class Case:
     def under(self, sets: tuple[str, ...]) -> Case:
         """The case under changed settings; its images are looked at again only if that changes what they show."""
         case = Case.open(self.path, self.settings.changed(sets), self.tell)
-        if all(getattr(case.read, name) == getattr(self.read, name) for name in OF_IMAGES):
-            same = case.log.units_per_meter == self.log.units_per_meter
-            for name in ("timeline", "samples") if same else ():
-                if name in self.__dict__:
-                    case.__dict__[name] = self.__dict__[name]
+        kept = ["timeline"] if _equal(case.read, self.read, OF_STAMPS) else []
+        same = _equal(case.read, self.read, OF_IMAGES) and case.log.units_per_meter == self.log.units_per_meter
+        made_with_K = self.log.depth_camera is not None or bool(self.log.camera.distortion)
+        if kept and same and not (made_with_K and case.read.intrinsics != self.read.intrinsics):
+            kept.append("samples")
+        for name in kept:
+            if name in self.__dict__:
+                case.__dict__[name] = self.__dict__[name]
         return case
+
+
+def _equal(a: ReadSettings, b: ReadSettings, names: tuple[str, ...]) -> bool:
+    return all(getattr(a, name) == getattr(b, name) for name in names)

@@ -21,7 +21,7 @@ REPEATED = 0.02  # share of images that repeat an earlier one
 STILL_PX = 3.0  # median flow of a camera that stands still
 COMPARED = 600  # images whose bytes are compared
 UNUSABLE = 0.01  # share of rows or images that cannot be used
-POSE_ROWS = "pose"  # how reasons of unusable pose rows begin
+POSE_ROWS = ("pose", "transform")  # how reasons of unusable pose rows begin
 
 
 def check_lists(case: Case) -> Told:

@@ -43,6 +43,7 @@ def read_timeline(log: StoredLog, s: ReadSettings) -> Timeline:
     """The stamps of a log within the settings' window. No image is loaded."""
     stamps: dict[str, list[int]] = {"rgb": [], "depth": []}
     left_out: Counter[str] = Counter()
+    _ = log.poses  # what they lose is told with the images
     for shot in log.shots(-LATEST_NS, LATEST_NS):
         if isinstance(shot, Skipped):
             left_out[shot.reason] += 1
@@ -50,7 +51,8 @@ def read_timeline(log: StoredLog, s: ReadSettings) -> Timeline:
             stamps[shot.kind].append(shot.stamp_ns)
     rgb, depth = (np.unique(np.array(stamps[kind], np.int64)) for kind in ("rgb", "depth"))
     pairs = np.array(associate(rgb.tolist(), depth.tolist(), limit_ns(s.association_s)), np.int64).reshape(-1, 2)
-    origin_ns = int(depth[pairs[0, 1]]) if len(pairs) else 0
+    first_ns = int(depth[pairs[0, 1]]) if len(pairs) else 0
+    origin_ns = getattr(log, "origin_ns", first_ns)  # where a clock was set back, not the earliest stamp
     since = depth[pairs[:, 1]] - origin_ns
     pairs = pairs[(since >= limit_ns(s.start_s)) & (since < limit_ns(s.stop_s))]
     return Timeline(rgb, depth, pairs, origin_ns, left_out)

@@ -61,7 +61,8 @@ def _coverage(case: Case, poses: Poses) -> Told:
     gap = limit_ns(case.read.pose_gap_s)
     share = float(np.mean([poses.at(int(t), gap) is not None for t in some]))
     late_s = float(listed[0] - stamps[0]) / 1e9
-    interval = float(np.median(np.diff(listed))) / 1e9 if listed.size > 1 else np.inf
+    intervals = [float(np.median(np.diff(t.stamps_ns))) / 1e9 for t in poses.moving if t.stamps_ns.size > 1]
+    interval = max(intervals, default=np.inf)  # of a chain, the slowest link decides
     figures = {"covered_share": share, "first_pose_after_first_image_s": late_s, "interval_s": interval}
     text = f"{share:.0%} of the images have a pose; poses begin {late_s:+.3f} s after them, one every {interval:.3f} s"
     if share >= 0.5:

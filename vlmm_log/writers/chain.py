@@ -5,13 +5,14 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from vlmm_log import se3
 from vlmm_log.readers.conventions import AXES, Convention
 from vlmm_log.readers.poses import Link, Poses, Trajectory
-from vlmm_log.types import Float64, Skipped
+from vlmm_log.types import Float64, Int64, Skipped
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +53,14 @@ class Chain:
         """The row that a depth image asks for: none if the chain is not resolved, or has a row of that time."""
         if self.resolved is None:
             return None
-        stamps = self.resolved.stamps_ns
+        stamps = self._stamps_ns
         k = int(np.searchsorted(stamps, stamp_ns))
         return None if k < stamps.size and stamps[k] == stamp_ns else self._resolved(stamp_ns)
+
+    @cached_property
+    def _stamps_ns(self) -> Int64:
+        assert self.resolved is not None
+        return self.resolved.stamps_ns
 
     def still(self) -> Iterator[tuple[int, Link]]:
         """The links that do not move, and where in the chain they are."""

@@ -105,7 +105,7 @@ class TumFolder:
             return {"png": ".png", "jpeg": ".jpg"}[header.kind], image.data
         pixels = decode_rgb(image)
         if self._rectifies:
-            pixels = self._rgb_lens((pixels.shape[0], pixels.shape[1])).rgb(pixels)
+            pixels = self._lens(self.camera, (pixels.shape[0], pixels.shape[1])).rgb(pixels)
         return ".png", png(pixels)
 
     def _depth(self, image: StoredImage) -> bytes | memoryview:
@@ -129,7 +129,7 @@ class TumFolder:
         if camera.height and size != (camera.height, camera.width):
             raise ImageError(f"depth is {size[1]}x{size[0]}, its intrinsics are for {camera.width}x{camera.height}")
         if camera.distortion:
-            metres = Rectifier(camera, size).depth(metres)
+            metres = self._lens(camera, size).depth(metres)
         return register(metres, camera.K, self.camera.K, T_rgb_depth, self.size)
 
     def _list(self, name: str, stamp_ns: int, row: str, what: str) -> Skipped | None:
@@ -145,13 +145,13 @@ class TumFolder:
         return self.depth_camera is not None and bool(self.camera.distortion)
 
     @cached_property
-    def _lenses(self) -> dict[tuple[int, int], Rectifier]:
+    def _lenses(self) -> dict[tuple[Intrinsics, tuple[int, int]], Rectifier]:
         return {}
 
-    def _rgb_lens(self, size: tuple[int, int]) -> Rectifier:
-        if size not in self._lenses:
-            self._lenses[size] = Rectifier(self.camera, size)
-        return self._lenses[size]
+    def _lens(self, camera: Intrinsics, size: tuple[int, int]) -> Rectifier:
+        if (camera, size) not in self._lenses:
+            self._lenses[camera, size] = Rectifier(camera, size)
+        return self._lenses[camera, size]
 
 
 _LISTS: dict[Kind, str] = {"rgb": "rgb.txt", "depth": "depth.txt"}
