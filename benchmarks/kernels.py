@@ -59,11 +59,12 @@ def copied_bytes(matches: Matches, ego: Ego) -> list[np.ndarray]:
 
 def logging_share(pair: FramePair, models: Models, s: Settings) -> tuple[float, float]:
     """Time in the lean Rerun sink and in the whole pair without decoding, ms."""
-    from vlmm_log.sinks.rerun import Rerun
+    from vlmm_log.sinks.recorder import Recorder, open_recording
+    from vlmm_log.sinks.rerun import RerunFile
     from vlmm_log.types import Run, RunEnd
 
     class Timed:
-        def __init__(self, sink: Rerun) -> None:
+        def __init__(self, sink: Recorder) -> None:
             self.sink, self.ms = sink, 0.0
 
         def write(self, result: object, at: Moment) -> None:
@@ -73,7 +74,8 @@ def logging_share(pair: FramePair, models: Models, s: Settings) -> tuple[float, 
 
     with tempfile.TemporaryDirectory() as folder:
         run = Run("bench", "bench", s.to_toml(), {}, True, "+z", ())
-        sink = Rerun(Path(folder) / "bench.rrd", run, recording_id="bench", dense=False)
+        recording = open_recording(Path(folder) / "bench.rrd", lambda path: RerunFile(path, run))
+        sink = Recorder([recording], dense=False)
         shares, whole = [], []
         world = empty_world(s, has_poses=True)
         for _ in range(20):

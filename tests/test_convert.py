@@ -21,12 +21,12 @@ from vlmm_log.readers.images import depth_values
 from vlmm_log.readers.poses import Link, Poses, trajectory
 from vlmm_log.readers.stamps import seconds_to_ns
 from vlmm_log.readers.stored import Shot
+from vlmm_log.ros.mcap import mcap_file
+from vlmm_log.ros.messages import Ros
 from vlmm_log.settings import Settings
 from vlmm_log.types import Frame, InputError
 from vlmm_log.writers.depth import as_image, in_units, shifted
 from vlmm_log.writers.encoded import file_header
-from vlmm_log.writers.messages import Ros
-from vlmm_log.writers.recorders import mcap_file
 from vlmm_log.writers.ros import RosLog
 from vlmm_log.writers.timeline import timeline, window_of
 from vlmm_log.writers.tum import seconds
@@ -420,7 +420,7 @@ def unregistered(tmp_path, log, camera, T_rgb_depth):
     """An MCAP whose depth is that of a camera beside the colour one."""
     source = opened(log)
     with mcap_file(tmp_path / "beside.mcap", Ros(2), "NONE", {}) as mcap:
-        ros = RosLog(mcap.ros, mcap, "raw", source.camera, (camera, T_rgb_depth), 5000, (0, 0), None)
+        ros = RosLog(Ros(2), mcap, "raw", source.camera, (camera, T_rgb_depth), 5000, (0, 0), None)
         for event in timeline(source, None, window_of(Settings().read)):
             assert ros.write(event) is None
     return tmp_path / "beside.mcap"

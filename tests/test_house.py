@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-GROUND = {"types", "background", "elements", "query_tree", "queries", "se3", "settings", "protocols"}
+GROUND = {"types", "background", "elements", "query_tree", "queries", "entries", "se3", "settings", "protocols"}
 ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/types.py": set(),
     "vlmm_log/version.py": set(),
@@ -19,20 +19,25 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/elements.py": {"types", "background"},
     "vlmm_log/queries.py": {"types", "query_tree"},
     "vlmm_log/query_tree.py": {"types", "elements"},
+    "vlmm_log/entries.py": {"types"},
     "vlmm_log/outputs.py": {"types"},
+    "vlmm_log/ros": {"types", "ros"},
     "vlmm_log/maps": GROUND | {"maps", "outputs"},
     "vlmm_log/protocols.py": {"types", "elements", "queries", "settings"},
     "readers": GROUND | {"readers"},
     "pipeline": GROUND | {"pipeline"},
     "vlmm_log/models": GROUND | {"models"},
-    "vlmm_log/writers": GROUND | {"writers", "readers", "outputs"},
+    "vlmm_log/writers": GROUND | {"writers", "readers", "outputs", "ros"},
     "vlmm_log/checks": GROUND | {"checks", "readers", "pipeline", "models"},
-    "vlmm_log/sinks": GROUND | {"sinks"},
+    "vlmm_log/sinks": GROUND | {"sinks", "ros"},
+    "vlmm_log/recording": GROUND | {"recording", "readers", "pipeline", "maps"},
 }
 FOREIGN = {  # what only some rooms may know
-    "rerun": {"vlmm_log/sinks", "vlmm_log/recording.py"},
-    "mcap": {"vlmm_log/writers", "readers"},
-    "rosbags": {"vlmm_log/writers", "readers"},
+    "rerun": {"vlmm_log/sinks", "vlmm_log/recording"},
+    "mcap": {"vlmm_log/ros", "vlmm_log/recording", "readers"},
+    "rosbags": {"vlmm_log/ros", "vlmm_log/writers", "readers"},
+    "foxglove": {"vlmm_log/sinks"},
+    "xxhash": {"vlmm_log/sinks", "vlmm_log/recording"},
     "torch": {"vlmm_log/models"},
     "torchvision": {"vlmm_log/models"},
     "open3d": {"vlmm_log/maps"},
@@ -40,7 +45,7 @@ FOREIGN = {  # what only some rooms may know
     "open_clip": {"vlmm_log/models"},
     "sklearn": {"vlmm_log/models"},
     "urllib3": {"vlmm_log/models"},
-    "pyarrow": {"vlmm_log/maps", "vlmm_log/recording.py", "vlmm_log/sinks"},
+    "pyarrow": {"vlmm_log/maps", "vlmm_log/recording", "vlmm_log/sinks"},
     "numba": {"pipeline", "readers"},
     "click": {"vlmm_log/cli.py", "vlmm_log/progress.py"},
 }

@@ -10,7 +10,6 @@ from functools import partial
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from vlmm_log.ask import Questions, parse
 from vlmm_log.interrupt import Interruption
@@ -24,13 +23,12 @@ from vlmm_log.readers import opened
 from vlmm_log.readers.stamps import limit_ns
 from vlmm_log.settings import Settings
 from vlmm_log.sinks.many import Many, watched_by
+from vlmm_log.sinks.recorder import Recorder, Recording, open_recording
 from vlmm_log.sinks.summary import Summary
 from vlmm_log.types import Float64, FramePair, InputError, Run, RunEnd, Skipped
 from vlmm_log.version import __version__
 
-if TYPE_CHECKING:
-    from vlmm_log.sinks.rerun import Rerun
-
+MCAP_SCHEMAS = ("ros2", "foxglove")
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "scipy", "rerun-sdk")
 
 
@@ -50,6 +48,8 @@ def process(
     source: str | Path | Log,
     *,
     rrd: str | Path | None = None,
+    mcap: str | Path | None = None,
+    mcap_schema: str = "ros2",
     map: str | Path | None = None,  # noqa: A002  the option's name
     queries: Sequence[str] = (),
     settings: Settings | None = None,
@@ -60,9 +60,10 @@ def process(
     """Run the method on every keyframe pair of a log and show each intermediate result to the sinks.
 
     ``source`` is a path that some reader of ``readers.READERS`` knows, or a log of your own, opened.
-    With ``rrd`` a Rerun recording is written beside and renamed once complete, with ``map`` a map file (.json,
-    .parquet, .ply); existing ones are replaced only with ``force``. Each query is answered at every pair and over the
-    whole map. Ctrl-C ends the run early and keeps the recording; a map file is of whole runs only. Raises InputError
+    With ``rrd`` a Rerun recording is written beside and renamed once complete, with ``mcap`` an MCAP file of the same
+    content (``mcap_schema`` "ros2" or "foxglove"), with ``map`` a map file (.json, .parquet, .ply); existing ones are
+    replaced only with ``force``. Each query is answered at every pair and over the
+    whole map. Ctrl-C ends the run early and keeps the recordings; a map file is of whole runs only. Raises InputError
     where the source, the settings, a query or an output cannot be used, and where no pair could be processed.
     """
     s = settings or Settings()
@@ -73,18 +74,20 @@ def process(
         raise InputError(f"{where}: no poses, and ego.model = off needs them; use rigid or row_linear")
     asked, by_parser = parse(queries, s)
     expected = expected_pairs(log.count(*_window(s)), s.keyframes)
-    target, map_target = (None if name is None else Path(name) for name in (rrd, map))
+    target, mcap_target, map_target = (None if name is None else Path(name) for name in (rrd, mcap, map))
+    _check_schema(mcap_schema)
     if map_target is not None:
         _check_map_name(map_target)
-    claim([path for path in (target, map_target) if path is not None], force=force, inputs=inputs)
+    claim([path for path in (target, mcap_target, map_target) if path is not None], force=force, inputs=inputs)
     models, of_models = load_models(s)
     run = Run(log.name, reader, s.to_toml(), _versions() | of_models, log.has_poses, log.world_up, tuple(log.notes))
     summary = Summary(noise_scale=s.noise.scale)
-    recordings = [] if target is None else [_recording(target, run, s)]
+    recordings = _recordings(target, mcap_target, mcap_schema, run)
+    recorders = [Recorder(recordings, dense=s.log.dense)] if recordings else []
     told = None if progress is None else partial(_tell, progress, expected)
     watching = _Watching(log, models, s, Questions(asked, models.embed, s.query, s.map, log.world_up), by_parser)
     try:
-        end = watching.run(Many([summary, *sinks, *recordings]), told)
+        end = watching.run(Many([summary, *sinks, *recorders]), told)
     except Exception as e:
         for kept in (r.written for r in recordings if r.written):
             e.add_note(f"what was written until then is kept as {kept}")
@@ -104,10 +107,24 @@ def process(
     return Processed(run, end, tuple(outputs), summary, saved, tuple(watching.answers()))
 
 
-def _recording(path: Path, run: Run, s: Settings) -> Rerun:
-    from vlmm_log.sinks.rerun import Rerun
+def _recordings(rrd: Path | None, mcap: Path | None, mcap_schema: str, run: Run) -> list[Recording]:
+    recordings = []
+    if rrd is not None:
+        from vlmm_log.sinks.rerun import RerunFile
 
-    return Rerun(path, run, recording_id=run.recording_id, dense=s.log.dense)
+        recordings.append(open_recording(rrd, lambda path: RerunFile(path, run)))
+    if mcap is not None:
+        from vlmm_log.sinks.mcap import McapFile, load_dialect
+
+        recordings.append(open_recording(mcap, lambda path: McapFile(path, run, load_dialect(mcap_schema))))
+    return recordings
+
+
+def _check_schema(name: str) -> None:
+    if name not in MCAP_SCHEMAS:
+        raise InputError(f"mcap_schema {name!r}: no such schemas; there are {', '.join(MCAP_SCHEMAS)}")
+    if name == "foxglove" and find_spec("foxglove") is None:
+        raise InputError("mcap_schema 'foxglove' needs foxglove-sdk: pip install 'vlmm-log[foxglove]'; or take ros2")
 
 
 def _tell(progress: Progress, expected: int, done: int) -> None:

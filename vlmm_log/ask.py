@@ -14,6 +14,7 @@ from vlmm_log.outputs import claim
 from vlmm_log.pipeline.language.answer import answer
 from vlmm_log.pipeline.language.explain import explain
 from vlmm_log.queries import Answer, Query, View
+from vlmm_log.recording import is_recording
 from vlmm_log.settings import MapSettings, QuerySettings, Settings
 from vlmm_log.types import Float64, InputError
 
@@ -81,23 +82,21 @@ def load_parser(s: Settings) -> Parser:
 
 
 def load_map(path: str | Path) -> SavedMap:
-    """The map of a map file (.json, .parquet) or a recording (.rrd). Raises InputError where it is neither."""
+    """The map of a map file (.json, .parquet) or a recording (.rrd, .mcap). Raises InputError where it is neither."""
     path = Path(path)
     if path.is_dir():
-        raise InputError(f"{path}: is a folder; process it, and ask its map (.json, .parquet) or recording (.rrd)")
+        raise InputError(
+            f"{path}: is a folder; process it, and ask its map (.json, .parquet) or recording (.rrd, .mcap)"
+        )
     if not path.is_file():
-        raise InputError(f"{path}: no such file; give a map (.json, .parquet) or a recording (.rrd)")
-    if _is_recording(path):
-        from vlmm_log.recording import read_map
+        raise InputError(f"{path}: no such file; give a map (.json, .parquet) or a recording (.rrd, .mcap)")
+    if is_recording(path):
+        from vlmm_log.recording.map import read_map
 
         return read_map(path)
     from vlmm_log import maps
 
     return maps.load_map(path)
-
-
-def _is_recording(path: Path) -> bool:
-    return path.name.endswith((".rrd", ".rrd.partial"))
 
 
 def query(source: str | Path | SavedMap, text: str, *, sets: Sequence[str] = ()) -> Answer:
@@ -166,8 +165,8 @@ def find(
     Raises InputError as ``query`` does, and where an output cannot be written; masks need a recording.
     """
     source = Path(source)
-    if masks is not None and not _is_recording(source):
-        raise InputError(f"{source}: a map file holds no masks; ask the run's recording (.rrd)")
+    if masks is not None and not is_recording(source):
+        raise InputError(f"{source}: a map file holds no masks; ask the run's recording")
     claim([path for path in (rrd, *_grid_files(grid)) if path is not None], force=force, inputs=[source])
     saved = load_map(source)
     s = _settings(saved, sets)
@@ -183,15 +182,15 @@ def find(
         outputs.append(grid)
     if rrd is not None:
         from vlmm_log.outputs import replacing
-        from vlmm_log.recording import read_masks
+        from vlmm_log.recording.map import read_masks
         from vlmm_log.sinks.hits import write_hits
 
-        frames = read_masks(source) if _is_recording(source) else ()
+        frames = read_masks(source) if is_recording(source) else ()
         with replacing(rrd, force=force) as (partial,):
             write_hits(partial, saved.world.columns, found, saved.run.recording_id, frames)
         outputs.append(rrd)
     if masks is not None:
-        from vlmm_log.recording import read_masks
+        from vlmm_log.recording.map import read_masks
         from vlmm_log.sinks.hits import write_masks
 
         write_masks(masks, found, read_masks(source), force=force)

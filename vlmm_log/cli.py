@@ -79,7 +79,11 @@ def _settings(
     epilog="Example: vlmm-log process rgbd_dataset_freiburg3_walking_xyz --rrd walking.rrd && rerun walking.rrd"
 )
 @reads_a_log
-@click.option("--rrd", type=click.Path(path_type=Path), help="Rerun recording to write; SOURCE-name.rrd if not given.")
+@click.option(
+    "--rrd", type=click.Path(path_type=Path), help="Rerun recording to write; SOURCE-name.rrd if no recording is named."
+)
+@click.option("--mcap", type=click.Path(path_type=Path), help="MCAP file to write: the same content as messages.")
+@click.option("--mcap-schema", type=click.Choice(["ros2", "foxglove"]), default="ros2", show_default=True)
 @click.option("--map", "map_file", type=click.Path(path_type=Path), help="Map to write: .json, .parquet or .ply.")
 @click.option("--query", "queries", multiple=True, metavar="TEXT", help="Log what it finds at every pair; repeatable.")
 @click.option("--profile", help="default, or paper: what the paper prints.")
@@ -95,6 +99,8 @@ def _settings(
 def process(
     source: Path,
     rrd: Path | None,
+    mcap: Path | None,
+    mcap_schema: str,
     map_file: Path | None,
     queries: tuple[str, ...],
     profile: str | None,
@@ -137,9 +143,20 @@ def process(
         keyframes__gap=int(gap) if gap and len(gap) < 5 and gap.isascii() and gap.isdigit() else gap,
         log__dense=True if dense else None,
     )
-    rrd = rrd or Path(f"{source.absolute().name}.rrd")  # the closing table names it
+    if rrd is None and mcap is None:
+        rrd = Path(f"{source.absolute().name}.rrd")  # the closing table names it
     with progress("pairs") as told:
-        done = run(source, rrd=rrd, map=map_file, queries=queries, settings=settings, force=force, progress=told)
+        done = run(
+            source,
+            rrd=rrd,
+            mcap=mcap,
+            map=map_file,
+            mcap_schema=mcap_schema,
+            queries=queries,
+            settings=settings,
+            force=force,
+            progress=told,
+        )
     if as_json:
         click.echo(json.dumps(run_report(done), indent=2))
     else:

@@ -19,12 +19,13 @@ from vlmm_log.readers.assembly import parse_shift
 from vlmm_log.readers.images import ImageError, decode_rgb
 from vlmm_log.readers.stamps import limit_ns
 from vlmm_log.readers.stored import Kind, Shot, StoredLog
+from vlmm_log.ros.mcap import mcap_file
+from vlmm_log.ros.messages import Ros
 from vlmm_log.settings import Settings
 from vlmm_log.types import InputError, Skipped
 from vlmm_log.version import __version__
 from vlmm_log.writers.chain import Chain, Pose, as_links, as_poses
-from vlmm_log.writers.messages import Ros
-from vlmm_log.writers.recorders import Recorder, mcap_file, ros1_bag, ros2_folder
+from vlmm_log.writers.recorders import Recorder, ros1_bag, ros2_folder
 from vlmm_log.writers.ros import Images, RosLog
 from vlmm_log.writers.staging import claim_folder, replacing_folder
 from vlmm_log.writers.timeline import timeline, window_of
@@ -202,8 +203,9 @@ def _writer(
         case "mcap":
             with replacing(out, force=True) as (partial,):  # claimed before
                 compression: Literal["LZ4", "NONE"] = "LZ4" if images == "raw" else "NONE"
-                with mcap_file(partial, Ros(2), compression, about) as mcap:
-                    yield ros(mcap, mcap.ros)
+                generation = Ros(2)
+                with mcap_file(partial, generation, compression, about) as mcap:
+                    yield ros(mcap, generation)
         case "bag":
             with replacing(out, force=True) as (partial,), ros1_bag(partial, Ros(1)) as bag:
                 yield ros(bag, bag.ros)

@@ -28,6 +28,7 @@ class Record(NamedTuple):
     position: int  # byte in the chunk, unique
     channel: int
     data: memoryview
+    sequence: int = 0  # as the writer counts them, where the format has it
 
 
 class Chunks(Protocol):

@@ -112,7 +112,7 @@ def from_walk(file: BinaryIO, size: int) -> McapIndex:
     index = McapIndex()
     pieces: list[ChunkPlace] = []
     at, ended = len(MAGIC), False
-    for opcode, start, stop in _records(file, size):
+    for opcode, start, stop in top_records(file, size):
         at, first = stop, start - HEAD.size
         last = pieces[-1] if pieces else None
         match opcode:
@@ -141,7 +141,8 @@ def from_walk(file: BinaryIO, size: int) -> McapIndex:
     return index
 
 
-def _records(file: BinaryIO, size: int) -> Iterator[Content]:
+def top_records(file: BinaryIO, size: int) -> Iterator[Content]:
+    """The records of a file that lie in no chunk, and the chunks, up to where it is cut off or damaged."""
     at = len(MAGIC)
     while at + HEAD.size <= size:
         opcode, length = HEAD.unpack(read_at(file, at, HEAD.size))

@@ -56,8 +56,8 @@ def messages(data: memoryview) -> Iterator[Record]:
     """The messages of a chunk, uncompressed. Raises ChunkError."""
     for opcode, start, stop in contents(data):
         if opcode == 0x05:
-            key, _, log_ns, _ = _MESSAGE.unpack_from(data, start)
-            yield Record(log_ns, start, key, data[start + _MESSAGE.size : stop])
+            key, sequence, log_ns, _ = _MESSAGE.unpack_from(data, start)
+            yield Record(log_ns, start, key, data[start + _MESSAGE.size : stop], sequence)
 
 
 def uncompressed(record: bytes) -> memoryview:

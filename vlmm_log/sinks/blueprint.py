@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import rerun.blueprint as rrb
 
-IMAGE = "world/camera/image"
+from vlmm_log.sinks.pair_entries import IMAGE
 
 
 def default_blueprint() -> rrb.Blueprint:

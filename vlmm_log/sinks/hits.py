@@ -10,10 +10,12 @@ import numpy as np
 import rerun as rr
 
 from vlmm_log.elements import Elements
+from vlmm_log.entries import Entry, Labels
 from vlmm_log.queries import Answer
-from vlmm_log.sinks.blueprint import IMAGE
 from vlmm_log.sinks.footer import finish
-from vlmm_log.sinks.rerun_map import CLEAR, HIT_COLOR, LARGEST_ID, answer_columns, hits, slug
+from vlmm_log.sinks.map_entries import LARGEST_ID, MAP, hit_names, hits, mask_classes, slug
+from vlmm_log.sinks.pair_entries import IMAGE
+from vlmm_log.sinks.rerun_values import RerunValues
 from vlmm_log.types import InputError, UInt8, UInt16
 
 
@@ -26,18 +28,15 @@ def write_hits(
     """
     rr.set_strict_mode(True)
     rec = rr.RecordingStream("vlmm-log", recording_id=recording_id, send_properties=False)
-    rec.set_log_time_enabled(False)
+    values = RerunValues(rec)
     try:
         rec.save(path)
-        rows = np.searchsorted(elements.ids, answer.ids)
         entity = f"query/{slug(answer.text)}"
-        rec.log(f"world/map/{entity}", hits(elements, rows, answer), answer_columns(answer), static=True)
-        rec.log(f"{IMAGE}/{entity}", rr.AnnotationContext([(0, "", CLEAR), (1, answer.text, HIT_COLOR)]), static=True)
+        values.put(Entry(f"{MAP}/{entity}", hits(elements, answer), None, None))
+        values.put(Entry(f"{IMAGE}/{entity}", hit_names(answer), None, None))
         wanted = _wanted(answer)
         for index, stamp_ns, labels in masks:
-            rec.set_time("frame", sequence=index)
-            rec.set_time("time", timestamp=np.datetime64(stamp_ns, "ns"))
-            rec.log(f"{IMAGE}/{entity}", rr.SegmentationImage(wanted[labels]))
+            values.put(Entry(f"{IMAGE}/{entity}", Labels(wanted[labels]), stamp_ns, index))
         finish(rec, path)
     except RuntimeError as e:  # so Rerun reports what its own thread could not write
         raise OSError(f"{e}") from e
@@ -65,5 +64,5 @@ def write_masks(folder: Path, answer: Answer, masks: Iterable[tuple[int, int, UI
 def _wanted(answer: Answer) -> UInt8:
     """Mask class -> 1 for an answer."""
     wanted = np.zeros(LARGEST_ID + 1, np.uint8)
-    wanted[(answer.ids - 1) % LARGEST_ID + 1] = 1
+    wanted[mask_classes(answer.ids)] = 1
     return wanted

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
-from vlmm_log.protocols import Moment
-
 ROWS_A_BATCH = 32
 
 
@@ -17,10 +15,10 @@ class ScalarColumns:
         self._rec = rec
         self._rows: dict[str, list[tuple[int, int, float]]] = {}
 
-    def add(self, entity: str, at: Moment, value: float) -> None:
+    def add(self, entity: str, stamp_ns: int, index: int | None, value: float) -> None:
         """One value at a frame's index and time."""
         rows = self._rows.setdefault(entity, [])
-        rows.append((at.index or 0, at.stamp_ns, value))
+        rows.append((index or 0, stamp_ns, value))
         if len(rows) >= ROWS_A_BATCH:
             self._send(entity, rows)
             rows.clear()

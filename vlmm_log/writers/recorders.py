@@ -6,35 +6,14 @@ import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+from vlmm_log.ros.mcap import LATCHED, Publication
+from vlmm_log.ros.messages import Ros
 from vlmm_log.types import InputError
-from vlmm_log.writers.messages import Ros
 
-FOREVER = {"sec": 9223372036, "nsec": 854775807}
-LATCHED = {  # quality of service as rosbag2 writes it: late subscribers get the last message too
-    "history": "keep_last",
-    "depth": 1,
-    "reliability": "reliable",
-    "durability": "transient_local",
-    "deadline": FOREVER,
-    "lifespan": FOREVER,
-    "liveliness": "automatic",
-    "liveliness_lease_duration": FOREVER,
-    "avoid_ros_namespace_conventions": False,
-}
 Storage = Literal["sqlite3", "mcap"]
-
-
-@dataclass(frozen=True)
-class Publication:
-    """A topic that is written."""
-
-    topic: str
-    type: str
-    latched: bool = False
 
 
 class Recorder(Protocol):
@@ -43,28 +22,6 @@ class Recorder(Protocol):
     def write(self, to: Publication, stamp_ns: int, data: bytes) -> None:
         """Add a serialised message; its topic is added with its first one."""
         ...
-
-
-@dataclass
-class Mcap:
-    """An MCAP file of ROS 2's profile."""
-
-    writer: Any
-    ros: Ros
-    schemas: dict[str, int] = field(default_factory=dict)
-    channels: dict[Publication, int] = field(default_factory=dict)
-    counts: dict[Publication, int] = field(default_factory=dict)
-
-    def write(self, to: Publication, stamp_ns: int, data: bytes) -> None:
-        """See Recorder."""
-        if to not in self.channels:
-            if to.type not in self.schemas:
-                definition = self.ros.definition(to.type).encode()
-                self.schemas[to.type] = self.writer.register_schema(to.type, "ros2msg", definition)
-            qos = {"offered_qos_profiles": _yaml([LATCHED])} if to.latched else {}
-            self.channels[to] = self.writer.register_channel(to.topic, "cdr", self.schemas[to.type], qos)
-        count = self.counts[to] = self.counts.get(to, -1) + 1
-        self.writer.add_message(self.channels[to], stamp_ns, data, stamp_ns, count)
 
 
 @dataclass
@@ -81,19 +38,6 @@ class Rosbag:
             more = _latching(self.ros) if to.latched else {}
             self.connections[to] = self.writer.add_connection(to.topic, to.type, typestore=self.ros.store, **more)
         self.writer.write(self.connections[to], stamp_ns, data)
-
-
-@contextmanager
-def mcap_file(path: Path, ros: Ros, compression: Literal["LZ4", "NONE"], about: Mapping[str, str]) -> Iterator[Mcap]:
-    """An MCAP file in chunks with checksums, and ``about`` as its metadata record."""
-    from mcap.writer import CompressionType, Writer
-
-    with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType[compression], enable_data_crcs=True)
-        writer.start(profile="ros2", library="vlmm-log")
-        writer.add_metadata("vlmm_log", dict(about))
-        yield Mcap(writer, ros)
-        writer.finish()  # type: ignore[no-untyped-call]
 
 
 @contextmanager
@@ -131,12 +75,3 @@ def _latching(ros: Ros) -> dict[str, Any]:
     from rosbags.rosbag2.metadata import parse_qos
 
     return {"offered_qos_profiles": parse_qos([LATCHED])}  # type: ignore[list-item,unused-ignore]
-
-
-def _yaml(value: object) -> str:
-    from ruamel.yaml import YAML
-
-    yaml, text = YAML(typ="safe"), BytesIO()
-    yaml.default_flow_style = False
-    yaml.dump(value, text)
-    return text.getvalue().decode().strip()

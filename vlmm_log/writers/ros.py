@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,11 +13,12 @@ from vlmm_log.readers.conventions import Convention
 from vlmm_log.readers.images import ImageError
 from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.readers.stored import Shot
+from vlmm_log.ros.mcap import Publication
+from vlmm_log.ros.messages import CAMERA_INFO, END_NS, NUMBER, TRANSFORMS, Placed, Ros
 from vlmm_log.types import Float64, Skipped
 from vlmm_log.writers.chain import Chain, Pose
 from vlmm_log.writers.depth import MILLIMETRES
-from vlmm_log.writers.messages import CAMERA_INFO, END_NS, NUMBER, TRANSFORMS, Placed, Ros
-from vlmm_log.writers.recorders import Publication, Recorder
+from vlmm_log.writers.recorders import Recorder
 from vlmm_log.writers.ros_images import Built, encoded_depth, encoded_rgb, raw_depth, raw_rgb
 
 Images = Literal["raw", "compressed"]
@@ -112,8 +113,12 @@ class RosLog:
         else:
             data = self.ros.compressed_image(header, image.form, image.content)
         of_info = self.ros.header(stamp_ns, frame, self.counts[info.topic])
-        self._send(info, stamp_ns, self.ros.camera_info(of_info, camera, image.size))
+        self._send(info, stamp_ns, self._camera_info(of_info, camera, image.size))
         self._send(to, stamp_ns, data)
+
+    def _camera_info(self, header: Any, camera: Intrinsics, size: tuple[int, int]) -> bytes:
+        known = (camera.height, camera.width) if camera.height else size
+        return self.ros.camera_info(header, camera.K, known, camera.distortion, camera.model)
 
     def _seat(self, shot: Shot) -> tuple[Intrinsics, str, str]:
         """Camera, frame and namespace of an image."""

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from vlmm_log.readers import compressed_depth
 from vlmm_log.readers.images import decode_rgb, depth_values
 from vlmm_log.readers.stored import StoredImage
+from vlmm_log.ros.messages import COMPRESSED_IMAGE, IMAGE
 from vlmm_log.writers.depth import as_image, png_of_depth, shifted
 from vlmm_log.writers.encoded import file_header, png
-from vlmm_log.writers.messages import COMPRESSED_IMAGE, IMAGE
 
 PNG_DEPTH = "16UC1; compressedDepth png"
 NO_HEADER = compressed_depth.HEADER.pack(compressed_depth.INVERSE_DEPTH, 0.0, 0.0)  # as 16 bits need none

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -10,7 +10,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.types import Float64
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -48,27 +47,35 @@ class Ros:
             store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", TRANSFORMS))
         return store
 
+    def register(self, definitions: Mapping[str, str]) -> None:
+        """Add types: name -> definition, as a .msg file has it."""
+        from rosbags.typesys import get_types_from_msg
+
+        for name, text in definitions.items():
+            self.store.register(get_types_from_msg(text, name))
+
     def image(self, header: Any, encoding: str, pixels: NDArray[Any]) -> bytes:
         """sensor_msgs/Image of an array (H, W) or (H, W, 3)."""
         data = np.ascontiguousarray(pixels)
         data = data.astype(data.dtype.newbyteorder("<"), copy=False)
         step = data.strides[0]
         fields = (header, data.shape[0], data.shape[1], encoding, 0, step, data.reshape(-1).view(np.uint8))
-        return self._serialised(IMAGE, self.store.types[IMAGE](*fields))
+        return self.serialised(IMAGE, self.store.types[IMAGE](*fields))
 
     def compressed_image(self, header: Any, form: str, data: bytes | memoryview) -> bytes:
         """sensor_msgs/CompressedImage."""
         message = self.store.types[COMPRESSED_IMAGE](header, form, np.frombuffer(data, np.uint8))
-        return self._serialised(COMPRESSED_IMAGE, message)
+        return self.serialised(COMPRESSED_IMAGE, message)
 
-    def camera_info(self, header: Any, camera: Intrinsics, size: tuple[int, int]) -> bytes:
-        """sensor_msgs/CameraInfo of a camera that is not rectified; ``size`` (H, W) where the camera has none."""
-        height, width = (camera.height, camera.width) if camera.height else size
-        D = np.array(camera.distortion or (0.0,) * 5)
-        P = np.hstack([camera.K, np.zeros((3, 1))]).ravel()
+    def camera_info(
+        self, header: Any, K: Float64, size: tuple[int, int], D: Sequence[float] = (), model: str = "plumb_bob"
+    ) -> bytes:
+        """sensor_msgs/CameraInfo of a camera (3, 3) px that is not rectified, its images of ``size`` (H, W)."""
+        P = np.hstack([K, np.zeros((3, 1))]).ravel()
         roi = self.store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-        fields = (header, height, width, camera.model, D, camera.K.ravel(), np.eye(3).ravel(), P, 0, 0, roi)
-        return self._serialised(CAMERA_INFO, self.store.types[CAMERA_INFO](*fields))
+        lens = np.array(D or (0.0,) * 5)
+        fields = (header, *size, model, lens, np.asarray(K, np.float64).ravel(), np.eye(3).ravel(), P, 0, 0, roi)
+        return self.serialised(CAMERA_INFO, self.store.types[CAMERA_INFO](*fields))
 
     def transforms(self, stamp_ns: int, count: int, placed: Sequence[Placed]) -> bytes:
         """tf2_msgs/TFMessage."""
@@ -84,11 +91,11 @@ class Ros:
             )
             for p in placed
         ]
-        return self._serialised(TRANSFORMS, self.store.types[TRANSFORMS](listed))
+        return self.serialised(TRANSFORMS, self.store.types[TRANSFORMS](listed))
 
     def number(self, value: float) -> bytes:
         """std_msgs/Float64."""
-        return self._serialised(NUMBER, self.store.types[NUMBER](value))
+        return self.serialised(NUMBER, self.store.types[NUMBER](value))
 
     def header(self, stamp_ns: int, frame: str, count: int) -> Any:
         """std_msgs/Header; ROS 1 also counts a topic's messages in it."""
@@ -100,6 +107,7 @@ class Ros:
         """The type's message definition, with those of the types in it."""
         return str(self.store.generate_msgdef(type_name, ros_version=self.version)[0])
 
-    def _serialised(self, type_name: str, message: object) -> bytes:
+    def serialised(self, type_name: str, message: object) -> bytes:
+        """A message of the store's types as bytes."""
         serialise = self.store.serialize_ros1 if self.version == 1 else self.store.serialize_cdr
         return bytes(serialise(message, type_name))

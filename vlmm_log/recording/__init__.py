@@ -1,0 +1,68 @@
+"""Recordings read back, also of killed writers: entities, and their typed values in time. The only reader of them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Protocol
+
+from vlmm_log.entries import Entry
+from vlmm_log.types import InputError, Run, RunEnd
+
+SUFFIXES = (".rrd", ".mcap")
+
+
+class Recording(Protocol):
+    """An opened recording."""
+
+    @property
+    def path(self) -> Path:
+        """Where it lies."""
+        ...
+
+    @property
+    def run(self) -> Run:
+        """What was asked for."""
+        ...
+
+    @property
+    def end(self) -> RunEnd | None:
+        """What came of it; None where the writer did not finish."""
+        ...
+
+    @property
+    def entities(self) -> frozenset[str]:
+        """What it holds values of."""
+        ...
+
+    @property
+    def by_entity(self) -> bool:
+        """Whether reading one entity is cheaper than reading all."""
+        ...
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What could not be read so far, and why."""
+        ...
+
+    def entries(self, entities: Collection[str]) -> Iterator[Entry]:
+        """The entries of some entities, as they stand in the file. Raises InputError where it cannot be read."""
+        ...
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file is called like a recording, or like one whose run was interrupted."""
+    return path.name.removesuffix(".partial").endswith(SUFFIXES)
+
+
+def open_recording(path: Path) -> Recording:
+    """A recording of ``process``. Raises InputError where the file is none."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a recording (.rrd or .mcap)")
+    if path.name.removesuffix(".partial").endswith(".mcap"):
+        from vlmm_log.recording.mcap import open_mcap
+
+        return open_mcap(path)
+    from vlmm_log.recording.rrd import open_rrd
+
+    return open_rrd(path)

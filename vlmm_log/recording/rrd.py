@@ -1,0 +1,204 @@
+"""Rerun recordings."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import struct
+import tempfile
+import warnings
+import weakref
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import rerun.chunk
+
+from vlmm_log.entries import Entry
+from vlmm_log.recording.rrd_values import Cells, values
+from vlmm_log.settings import Settings
+from vlmm_log.types import InputError, Run, RunEnd
+
+RUN, END = "/__properties/vlmm", "/__properties/vlmm_end"
+FOOTER = b"RRF2FOOT"  # starts the last twelve bytes of a whole recording
+STREAM_HEADER, MESSAGE_HEADER = 12, struct.Struct("<QQ")  # kind and length of what follows
+TIMELINES = ("frame", "time")
+NO_DATA = ("run", "world")  # what a viewer shows of the properties; the up axis
+
+
+@dataclass
+class Rrd:
+    """See Recording."""
+
+    path: Path
+    run: Run
+    end: RunEnd | None
+    entities: frozenset[str]
+    by_entity: bool
+    components: dict[str, set[str]]  # of each entity, in time; {} where that is not known
+    file: Path  # what is read: without a torn end
+    lost: list[str] = field(default_factory=list)
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """See Recording."""
+        return tuple(self.lost)
+
+    def entries(self, entities: Collection[str]) -> Iterator[Entry]:
+        """See Recording."""
+        wanted = [f"/{entity}" for entity in sorted(self.entities & frozenset(entities))]
+        waiting: dict[tuple[str, bytes], _Row] = {}  # a row's components may lie in several chunks of a rewritten file
+        for chunk in _chunks(self.path, self.file, self.by_entity, wanted):
+            entity = chunk.entity_path.removeprefix("/")
+            whole = self.components.get(entity, set())
+            for row_id, row in _rows(chunk):
+                part = waiting.pop((entity, row_id), None)
+                row = row if part is None else part.joined(row)
+                if chunk.is_static or row.cells.keys() >= whole:
+                    yield from self._read(entity, row)
+                else:
+                    waiting[entity, row_id] = row
+        for (entity, _), row in waiting.items():
+            yield from self._read(entity, row)
+
+    def _read(self, entity: str, row: _Row) -> Iterator[Entry]:
+        try:
+            for value in values(row.cells):
+                yield Entry(entity, value, row.stamp_ns, row.index)
+        except (KeyError, ValueError, TypeError, IndexError) as e:
+            self.lost.append(f"{entity} at frame {row.index}: cannot be read: {e}")
+
+
+@dataclass(frozen=True)
+class _Row:
+    stamp_ns: int | None
+    index: int | None
+    cells: Cells
+
+    def joined(self, other: _Row) -> _Row:
+        return _Row(self.stamp_ns, self.index, {**self.cells, **other.cells})
+
+
+def open_rrd(path: Path) -> Rrd:
+    """A recording of ``process``, also one that was cut off. Raises InputError where the file is none."""
+    file, lost = _readable(path)
+    whole = not lost
+    try:
+        told: dict[str, dict[str, Any]] = {RUN: {}, END: {}}
+        for chunk in _chunks(path, file, whole, [RUN, END]):
+            for _, row in _rows(chunk):
+                told[chunk.entity_path].update({name: cell[0].as_py() for name, cell in row.cells.items()})
+        if not told[RUN]:
+            raise InputError(f"{path}: not a recording of vlmm-log process: it holds no settings")
+        run, end = _run(path, told[RUN]), RunEnd(**told[END]) if told[END] else None
+        components = _components(path, file, whole)
+    except BaseException:
+        if file != path:
+            file.unlink()
+        raise
+    entities = frozenset(name for name in components if name not in NO_DATA and not name.startswith("__properties"))
+    recording = Rrd(path, run, end, entities, whole, components if whole else {}, file, lost)
+    if file != path:
+        weakref.finalize(recording, file.unlink, missing_ok=True)
+    return recording
+
+
+def _components(path: Path, file: Path, whole: bool) -> dict[str, set[str]]:
+    """Entity -> its components in time; of static ones alone, none."""
+    found: dict[str, set[str]] = {}
+    if whole:
+        for column in _store(path, file).schema().component_columns():
+            names = found.setdefault(column.entity_path.removeprefix("/"), set())
+            if not column.is_static:
+                names.add(column.component)
+        return found
+    return {chunk.entity_path.removeprefix("/"): set() for chunk in _chunks(path, file, whole, None)}
+
+
+def _store(path: Path, file: Path) -> Any:
+    try:
+        return rerun.chunk.RrdReader(file).store()
+    except (OSError, ValueError, RuntimeError) as e:
+        raise _unreadable(path, e) from e
+
+
+def _chunks(path: Path, file: Path, whole: bool, wanted: list[str] | None) -> Iterator[Any]:
+    if wanted is not None and not wanted:
+        return
+    try:
+        with warnings.catch_warnings(action="ignore"):  # that there is no footer, we tell ourselves
+            reader = rerun.chunk.RrdReader(file)
+            stream = reader.store().stream() if whole else reader.stream()
+            yield from stream if wanted is None else stream.filter(content=wanted)
+    except (OSError, ValueError, RuntimeError) as e:
+        raise _unreadable(path, e) from e
+
+
+def _unreadable(path: Path, e: Exception) -> InputError:
+    return InputError(f"{path}: cannot be read as a Rerun recording: {str(e)[-120:]}")
+
+
+def _rows(chunk: Any) -> Iterator[tuple[bytes, _Row]]:
+    batch = chunk.to_record_batch()
+    names = batch.schema.names
+    ids = batch.column("rerun.controls.RowId").to_pylist()
+    frames, times = (batch.column(t).cast("int64").to_pylist() if t in names else [None] * len(ids) for t in TIMELINES)
+    components = [(name, batch.column(name)) for name in names if name not in (*TIMELINES, "rerun.controls.RowId")]
+    for k, row_id in enumerate(ids):
+        cells = {name: cell for name, column in components if (cell := column[k].values) is not None}
+        yield row_id, _Row(times[k], frames[k], cells)
+
+
+def _readable(path: Path) -> tuple[Path, list[str]]:
+    """The file itself, or a copy without its torn last message; and what is missing. Raises InputError."""
+    try:
+        with path.open("rb") as f:
+            size = os.fstat(f.fileno()).st_size
+            f.seek(max(size - len(FOOTER) - 4, 0))
+            if f.read().startswith(FOOTER):
+                return path, []
+            stop = _last_message(f, size)
+            if stop == size:
+                return path, ["its writer did not finish"]
+            if stop <= STREAM_HEADER:
+                raise InputError(f"{path}: not a Rerun recording, or cut off before its first message")
+            f.seek(0)
+            with tempfile.NamedTemporaryFile(prefix="vlmm-log-", suffix=".rrd", delete=False) as copy:
+                shutil.copyfileobj(f, copy)
+                copy.truncate(stop)
+            return Path(copy.name), [f"its writer did not finish; the last {size - stop} bytes are torn"]
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read: {e.strerror or e}") from e
+
+
+def _last_message(f: Any, size: int) -> int:
+    """Where the last whole message ends."""
+    f.seek(0)
+    if not f.read(STREAM_HEADER).startswith(b"RRF2"):
+        return 0
+    at = STREAM_HEADER
+    while at + MESSAGE_HEADER.size <= size:
+        f.seek(at)
+        _, length = MESSAGE_HEADER.unpack(f.read(MESSAGE_HEADER.size))
+        if at + MESSAGE_HEADER.size + length > size:
+            break
+        at += MESSAGE_HEADER.size + length
+    return at
+
+
+def _run(path: Path, row: dict[str, Any]) -> Run:
+    try:
+        Settings.from_toml(row["settings"], str(path))
+        return Run(
+            row["source"],
+            row["reader"],
+            row["settings"],
+            json.loads(row["versions"]),
+            bool(row["has_poses"]),
+            row["world_up"],
+            tuple(json.loads(row["notes"])),
+        )
+    except (KeyError, ValueError, TypeError) as e:
+        raise InputError(f"{path}: its properties are not those of this version: {e}; process the log again") from e

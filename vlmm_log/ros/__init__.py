@@ -1,0 +1,1 @@
+"""ROS messages and MCAP files of them: what both converted logs and recordings are written with."""

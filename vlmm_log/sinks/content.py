@@ -1,0 +1,116 @@
+"""What a run's results put into a recording, as entries: the same whatever container they go to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from vlmm_log.elements import Tracked, WorldMap
+from vlmm_log.entries import Column, Entry, LabelNames, LogLine, Scalar, StateNames, Table
+from vlmm_log.protocols import Moment, Result
+from vlmm_log.queries import Answer
+from vlmm_log.sinks import pair_entries as of_pair
+from vlmm_log.sinks.digest import digest
+from vlmm_log.sinks.map_entries import MapEntries
+from vlmm_log.sinks.pair_entries import IMAGE, Named
+from vlmm_log.sinks.stages import stage_of
+from vlmm_log.sinks.views import VALIDITY_COLORS
+from vlmm_log.types import Ego, FlowField, Frame, FramePair, Motion, Odometry, RunEnd, Segments, Skipped
+
+STILL = LabelNames | StateNames  # what holds for the whole recording
+
+
+class Content:
+    """Results to entries. Remembers what was said already, so that it is said once."""
+
+    def __init__(self, *, dense: bool) -> None:
+        self._dense = dense
+        self._map = MapEntries()
+        self._pair: FramePair | None = None
+        self._camera: bytes = b""
+        self._digests: dict[str, int] = {}  # stage -> digest of its result, of the pair in hand
+        self._at = Moment(0, None, 0.0)
+        self._of_pair = self._at
+
+    def begin(self) -> Iterator[Entry]:
+        """What is known before the first result."""
+        classes = tuple((int(v), v.name.lower(), color) for v, color in VALIDITY_COLORS.items())
+        yield Entry(f"{IMAGE}/validity", LabelNames(classes), None, None)
+
+    def of(self, result: Result, at: Moment) -> Iterator[Entry]:
+        """The entries of one result."""
+        self._at = at
+        if isinstance(result, FramePair):
+            yield from self._ended_pair()
+            self._of_pair = at
+        yield from _entries(self._named(result, at), at)
+        stage = stage_of(result)
+        if stage is not None:
+            yield from _entries([(f"stats/stage_ms/{stage}", Scalar(at.elapsed_ms))], at)
+        if not isinstance(result, Skipped):
+            self._digests[stage or "input"] = digest(result)
+
+    def rest(self, end: RunEnd) -> Iterator[Entry]:
+        """What is left to say."""
+        yield from self._ended_pair()
+        told = [("log", LogLine(text, "INFO")) for text in end.told]
+        yield from _entries([*told, *self._map.rest()], self._at)
+
+    def _ended_pair(self) -> Iterator[Entry]:
+        """Digests of all stages of a pair: what tells where two runs part, beyond what lean fields show."""
+        if self._digests:
+            columns: dict[str, Column] = {
+                "stage": tuple(self._digests),
+                "xxh3": np.array(list(self._digests.values()), np.uint64),
+            }
+            yield from _entries([("digests", Table(columns))], self._of_pair)
+        self._digests = {}
+
+    def _named(self, result: Result, at: Moment) -> Iterator[Named]:
+        match result:
+            case FramePair():
+                self._pair = result
+                yield from self._of_frame(result.first)
+            case Skipped():
+                yield _warning(f"{result.what}: {result.reason}")
+            case FlowField():
+                yield from of_pair.of_flow(result, dense=self._dense)
+            case Segments():
+                yield from map(_warning, result.notes)
+            case Ego():
+                yield from of_pair.of_ego(result)
+                if not result.reliable:
+                    share = f"{result.matches} matches, inlier share {result.inlier_share:.2f}"
+                    yield _warning(f"ego_unreliable: {share}; do not trust this pair")
+            case Motion():
+                assert self._pair is not None, "a pair comes before its motion"
+                if not result.valid_share:
+                    yield _warning("no pixel of this pair could be scored")
+                yield from of_pair.of_motion(self._pair, result, dense=self._dense)
+            case Odometry():
+                yield "world/camera", of_pair.of_pose(result.T_world_first)
+            case Tracked():
+                yield from self._map.of_tracked(result)
+            case WorldMap():
+                yield from self._map.of_world(result, at.index)
+            case Answer():
+                yield from self._map.of_answer(result)
+            case _:
+                pass
+
+    def _of_frame(self, frame: Frame) -> Iterator[Named]:
+        if frame.K.tobytes() != self._camera:
+            self._camera = frame.K.tobytes()
+            yield IMAGE, of_pair.of_camera(frame)
+        yield from of_pair.of_images(frame)
+
+
+def _entries(named: Iterable[Named], at: Moment) -> Iterator[Entry]:
+    for entity, value in named:
+        still = isinstance(value, STILL)
+        yield Entry(entity, value, None if still else at.stamp_ns, None if still else at.index)
+
+
+def _warning(text: str) -> Named:
+    return "log", LogLine(text, "WARN")

@@ -1,0 +1,96 @@
+"""What a recording shows of one pair: images, flow, the motion channel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vlmm_log import se3
+from vlmm_log.entries import Arrows, Camera, DepthMap, Labels, Picture, Pose, Raster, Scalar, Value
+from vlmm_log.sinks import views
+from vlmm_log.types import Ego, Float64, FlowField, Frame, FramePair, Motion
+
+IMAGE = "world/camera/image"
+COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
+MOVED = (230, 159, 0)
+
+Named = tuple[str, Value]
+"""An entity and its value."""
+
+
+def of_camera(frame: Frame) -> Camera:
+    """The pinhole camera of a frame."""
+    return Camera(frame.K.astype(np.float32), frame.rgb.shape[1], frame.rgb.shape[0])
+
+
+def of_pose(T_world_cam: Float64) -> Pose:
+    """A camera's pose (4, 4) in single precision."""
+    return Pose(T_world_cam[:3, 3].astype(np.float32), se3.quaternion(T_world_cam).astype(np.float32))
+
+
+def of_images(frame: Frame) -> Iterator[Named]:
+    """Colour and depth: the source's own bytes where it has them."""
+    rgb, depth = frame.encoded_rgb, frame.encoded_depth
+    if rgb is None:
+        yield f"{IMAGE}/rgb", Picture(_jpeg(frame.rgb, 90), "image/jpeg")
+    else:
+        yield f"{IMAGE}/rgb", Picture(rgb.data, rgb.media_type)
+    if depth is None:
+        yield f"{IMAGE}/depth", DepthMap(np.nan_to_num(frame.depth * np.float32(1e3)).astype(np.uint16), 1e3)
+    else:
+        yield f"{IMAGE}/depth", DepthMap(depth, depth.units_per_meter)
+
+
+def of_flow(flow: FlowField, *, dense: bool) -> Iterator[Named]:
+    """Flow in colours, as arrows and as numbers, and its round-trip error."""
+    yield f"{IMAGE}/flow/color", Picture(_jpeg(views.flow_color(flow.forward), 85), "image/jpeg")
+    yield f"{IMAGE}/flow/arrows", Arrows(*views.arrows(flow.forward))
+    planar = np.moveaxis(flow.forward, -1, 0)
+    if dense:
+        yield f"{IMAGE}/flow/tensor", Raster(np.ascontiguousarray(planar), ("u", "v"))
+        yield f"{IMAGE}/flow/fb_error", Raster(flow.fb_error)
+    else:
+        thin = np.ascontiguousarray(views.half(planar[:, ::2, ::2]))
+        yield f"{IMAGE}/flow/tensor", Raster(thin, ("u", "v"))
+        yield f"{IMAGE}/flow/fb_error", Raster(views.half(flow.fb_error[::2, ::2]))
+
+
+def of_ego(ego: Ego) -> Iterator[Named]:
+    """Figures of the camera's motion: shares, sigmas, rad and m."""
+    yield "stats/inlier_share", Scalar(ego.inlier_share)
+    yield "stats/spread", Scalar(ego.spread)
+    for name, twist in (("ego", ego.correction), ("row", ego.row_twist)):
+        yield f"stats/{name}_rotation", Scalar(float(np.linalg.norm(twist[:3])))
+        yield f"stats/{name}_translation", Scalar(float(np.linalg.norm(twist[3:])))
+
+
+def of_motion(pair: FramePair, motion: Motion, *, dense: bool) -> Iterator[Named]:
+    """Scores, validity, residuals and their covariance."""
+    yield "stats/valid_share", Scalar(motion.valid_share)
+    if motion.valid_share:
+        yield "stats/median_d_m", Scalar(float(np.sqrt(motion.static_d_m2_median)))
+        yield "stats/flagged_share", Scalar(motion.flagged_share)
+        yield "stats/median_residual", Scalar(motion.median_norm)
+    path = f"{IMAGE}/residual"
+    yield f"{IMAGE}/validity", Labels(motion.validity)
+    thin = motion.covariances(1 if dense else 4)
+    fields: dict[str, NDArray[np.floating]]
+    if dense:
+        yield f"{path}/tensor", Raster(motion.residual, ("x", "y", "z"))
+        fields = {"d_m": motion.d_m, "p_stat": motion.p_stat, "norm": motion.norm, "sigma_z": thin.sigma_z}
+        covariance: NDArray[np.floating] = thin.upper
+    else:
+        coarse = {"p_stat": motion.p_stat[::2, ::2], "norm": motion.norm[::2, ::2], "sigma_z": thin.sigma_z}
+        fields = {name: views.half(values) for name, values in {"d_m": motion.d_m, **coarse}.items()}
+        covariance = views.half(thin.upper * 1e4)  # cm^2: metres squared underflow half precision
+    yield from ((f"{path}/{name}", Raster(values)) for name, values in fields.items())
+    yield f"{path}/covariance", Raster(covariance, COVARIANCE)
+    yield f"{path}/vectors", Arrows(*views.moved_arrows(motion, pair.first, pair.second), color=MOVED)
+
+
+def _jpeg(rgb: NDArray[np.uint8], quality: int) -> bytes:
+    _, file = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return file.tobytes()

@@ -1,0 +1,119 @@
+"""A run's recordings: what is to be recorded is made once, and goes to every container."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from vlmm_log.entries import Entry
+from vlmm_log.protocols import Moment, Result
+from vlmm_log.sinks.content import Content
+from vlmm_log.types import FramePair, InputError, RunEnd
+
+
+class Container(Protocol):
+    """An open file of entries."""
+
+    def put(self, entry: Entry) -> None:
+        """Write one entry."""
+        ...
+
+    def pair_begins(self) -> None:
+        """Whatever came before is worth keeping."""
+        ...
+
+    def finish(self, end: RunEnd) -> None:
+        """Write how the run ended, and make the file whole. Raises OSError where it is not."""
+        ...
+
+
+@dataclass
+class Recording:
+    """A container that is written beside its place."""
+
+    path: Path
+    container: Container
+    written: Path | None = None  # once closed: where it lies, None if it holds no pair
+
+    @property
+    def partial(self) -> Path:
+        """Where it is written, and stays if the run is interrupted: readable."""
+        return _partial(self.path)
+
+
+def open_recording(path: Path, container: Callable[[Path], Container]) -> Recording:
+    """A recording that will be ``path``. Raises InputError where it cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return Recording(path, container(_partial(path)))
+    except (OSError, RuntimeError) as e:
+        raise InputError(f"{path}: cannot be written: {e}") from e
+
+
+class Recorder:
+    """Writes recordings beside their paths and renames them once they are complete.
+
+    An interrupted run's recordings stay as ``path`` + ".partial", readable; one without a pair is removed.
+    """
+
+    def __init__(self, recordings: Sequence[Recording], *, dense: bool) -> None:
+        self.recordings = recordings
+        self._content = Content(dense=dense)
+        self._put(self._content.begin())
+
+    def write(self, result: Result, at: Moment) -> None:
+        """Record one result at its frame and time. Raises InputError where the disk takes no more."""
+        if isinstance(result, FramePair):
+            self._each(lambda container: container.pair_begins())
+        self._put(self._content.of(result, at))
+
+    def close(self, end: RunEnd) -> None:
+        """Finish all recordings, and put the complete ones in their place.
+
+        Raises InputError where one could not be written whole; then it replaces nothing, and the others are kept.
+        """
+        rest = list(self._content.rest(end))
+        errors = []
+        for recording in self.recordings:
+            try:
+                _finish(recording, rest, end)
+            except (OSError, RuntimeError) as e:
+                errors.append(_unwritable(recording, e))
+        if errors:
+            for other in errors[1:]:
+                errors[0].add_note(f"then: {other}")
+            raise errors[0]
+
+    def _put(self, entries: Iterable[Entry]) -> None:
+        for entry in entries:
+            self._each(lambda container, entry=entry: container.put(entry))  # type: ignore[misc]
+
+    def _each(self, act: Callable[[Container], None]) -> None:
+        for recording in self.recordings:
+            try:
+                act(recording.container)
+            except (OSError, RuntimeError) as e:  # Rerun reports a failed write of its own thread as RuntimeError
+                raise _unwritable(recording, e) from e
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(path.name + ".partial")
+
+
+def _finish(recording: Recording, rest: Iterable[Entry], end: RunEnd) -> None:
+    for entry in rest:
+        recording.container.put(entry)
+    recording.container.finish(end)
+    if not end.pairs:
+        recording.partial.unlink(missing_ok=True)
+    elif end.complete:
+        recording.partial.replace(recording.path)
+        recording.written = recording.path
+    else:
+        recording.written = recording.partial
+
+
+def _unwritable(recording: Recording, e: Exception) -> InputError:
+    return InputError(f"{recording.partial}: cannot be written, is the disk full? ({e})")

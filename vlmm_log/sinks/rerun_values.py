@@ -1,0 +1,176 @@
+"""Entries as Rerun's archetypes."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, assert_never
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from vlmm_log.elements import CLASS_COLORS, MotionClass
+from vlmm_log.entries import (
+    Arrows,
+    Boxes,
+    Camera,
+    Cloud,
+    Column,
+    DepthMap,
+    Ellipsoids,
+    Entry,
+    LabelNames,
+    Labels,
+    LogLine,
+    Look,
+    Picture,
+    Pose,
+    Raster,
+    Scalar,
+    StateNames,
+    States,
+    Table,
+    Value,
+)
+from vlmm_log.sinks.map_entries import id_color
+from vlmm_log.sinks.pair_entries import IMAGE
+from vlmm_log.sinks.scalars import ScalarColumns
+from vlmm_log.types import EncodedImage
+
+LOOKS: dict[str, tuple[float, float, Literal["turbo", "viridis", "magma"]]] = {  # range and colours
+    f"{IMAGE}/residual/d_m": (0.0, 8.0, "turbo"),
+    f"{IMAGE}/residual/norm": (0.0, 0.3, "turbo"),
+    f"{IMAGE}/residual/sigma_z": (0.0, 0.1, "viridis"),
+    f"{IMAGE}/residual/p_stat": (0.0, 1.0, "viridis"),
+    f"{IMAGE}/flow/fb_error": (0.0, 2.0, "magma"),
+}
+STATE_COLORS = {  # fused class, and what an element does at present
+    **{kind.name.lower(): color for kind, color in CLASS_COLORS.items()},
+    "still": (90, 90, 90),
+    "moves": CLASS_COLORS[MotionClass.MOVING],
+    "unseen": (40, 40, 40),
+}
+
+
+class RerunValues:
+    """Logs entries to a stream, each below ``prefix``. Scalars wait for ``flush``."""
+
+    def __init__(self, rec: rr.RecordingStream, prefix: str = "") -> None:
+        self._rec, self._prefix = rec, prefix
+        self._scalars = ScalarColumns(rec)
+        self._at: tuple[int | None, int | None] = (None, None)
+        rec.set_log_time_enabled(False)  # nothing but the input decides what is written
+
+    def looks(self) -> None:
+        """Colours of the dense fields, once."""
+        for entity, (low, high, colors) in LOOKS.items():
+            look = rr.DepthImage.from_fields(meter=1.0, colormap=colors, depth_range=[low, high])
+            self._rec.log(self._prefix + entity, look, static=True)
+
+    def put(self, entry: Entry) -> None:
+        """Log one entry."""
+        entity = self._prefix + entry.entity
+        if isinstance(entry.value, Scalar) and entry.stamp_ns is not None:
+            self._scalars.add(entity, entry.stamp_ns, entry.index, entry.value.value)
+            return
+        if entry.stamp_ns is not None:
+            self._set_time(entry.stamp_ns, entry.index)
+        shown = archetypes(entry.value)
+        if shown:
+            self._rec.log(entity, *shown, static=entry.stamp_ns is None)
+
+    def flush(self) -> None:
+        """Send the scalars that wait."""
+        self._scalars.flush()
+
+    def _set_time(self, stamp_ns: int, index: int | None) -> None:
+        if (stamp_ns, index) == self._at:
+            return
+        self._at = (stamp_ns, index)
+        if index is None:
+            self._rec.disable_timeline("frame")
+        else:
+            self._rec.set_time("frame", sequence=index)
+        self._rec.set_time("time", timestamp=np.datetime64(stamp_ns, "ns"))
+
+
+def archetypes(value: Value) -> list[Any]:
+    """What Rerun logs of a value."""
+    match value:
+        case Picture(data, media_type):
+            return [rr.EncodedImage(contents=data, media_type=media_type)]
+        case DepthMap(stored, units):
+            if isinstance(stored, EncodedImage):
+                return [rr.EncodedDepthImage(blob=stored.data, media_type=stored.media_type, meter=units)]
+            return [rr.DepthImage(stored, meter=units)]
+        case Raster(values, ()):
+            return [rr.DepthImage(values)]
+        case Raster(values, channels):
+            return [rr.Tensor(values, dim_names=["_".join(channels), "height", "width"])]
+        case Labels(values):
+            return [rr.SegmentationImage(values)]
+        case LabelNames(classes):
+            return [rr.AnnotationContext(list(classes))]
+        case Pose(translation, quaternion):
+            return [rr.Transform3D(translation=translation, quaternion=rr.Quaternion(xyzw=quaternion))]
+        case Camera(K, width, height):
+            axes = rr.ViewCoordinates.RDF
+            return [rr.Pinhole(image_from_camera=K, resolution=[width, height], camera_xyz=axes)]
+        case Arrows(origins, vectors, color):
+            return [rr.Arrows2D(origins=origins, vectors=vectors, colors=color)]
+        case Boxes():
+            return [_boxes(value)]
+        case Table(columns, shown):
+            return _table(columns, len(value), shown)
+        case Cloud(points, colors, radius):
+            return [rr.Points3D(points, colors=colors, radii=radius)]
+        case Scalar(number):
+            return [rr.Scalars(number)]
+        case LogLine(text, level):
+            return [rr.TextLog(text, level=level)]
+        case States(lanes):
+            return [rr.StateChange(state=list(lanes))]
+        case StateNames(label):
+            return [_state_names(label)]
+        case Look():
+            return []
+        case _:
+            assert_never(value)
+
+
+def _boxes(boxes: Boxes) -> rr.Boxes2D:
+    labels = [f"{i} {name}".strip() for i, name in zip(boxes.ids, boxes.names, strict=True)]
+    colors = [id_color(int(i)) for i in boxes.ids]
+    return rr.Boxes2D(array=boxes.corners, array_format=rr.Box2DFormat.XYXY, labels=labels, colors=colors)
+
+
+def _table(columns: Any, rows: int, shown: Ellipsoids | None) -> list[Any]:
+    if not rows and shown is None:
+        return [rr.Clear(recursive=False)]  # empty columns alone would leave the last rows in sight
+    ellipsoids = [] if shown is None else [_ellipsoids(shown)]
+    return [*ellipsoids, rr.AnyValues(**{name: _arrow(column) for name, column in columns.items()})]
+
+
+def _arrow(column: Column) -> Any:
+    """A column that Rerun keeps; one of several numbers a row as fixed-size lists."""
+    if isinstance(column, tuple):
+        return pa.array(column, pa.utf8())
+    if column.ndim == 2:
+        return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(column).ravel()), column.shape[1])
+    return column
+
+
+def _ellipsoids(shown: Ellipsoids) -> rr.Ellipsoids3D:
+    return rr.Ellipsoids3D(
+        centers=shown.centers,
+        half_sizes=shown.half_sizes,
+        quaternions=shown.quaternions,
+        colors=list(shown.colors),
+        labels=list(shown.labels),
+        show_labels=None if shown.labelled else False,
+    )
+
+
+def _state_names(label: str) -> rr.StateConfiguration:
+    """Colours of the states; the class's lane tells what the element is, too."""
+    told = [f"{label}: {name}" if label and name not in ("still", "moves", "unseen") else name for name in STATE_COLORS]
+    return rr.StateConfiguration(values=list(STATE_COLORS), labels=told, colors=list(STATE_COLORS.values()))
