@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-GROUND = {"types", "background", "elements", "query_tree", "queries", "entries", "se3", "settings", "protocols"}
+GROUND = {"types", "background", "elements", "query_tree", "queries", "entries", "depth_pixels", "se3", "settings"}
+GROUND |= {"protocols"}
 ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/types.py": set(),
     "vlmm_log/version.py": set(),
@@ -30,13 +31,18 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/writers": GROUND | {"writers", "readers", "outputs", "ros"},
     "vlmm_log/checks": GROUND | {"checks", "readers", "pipeline", "models"},
     "vlmm_log/sinks": GROUND | {"sinks", "ros"},
+    "vlmm_log/depth_pixels.py": {"types", "entries"},
     "vlmm_log/recording": GROUND | {"recording", "readers", "pipeline", "maps"},
+    "vlmm_log/comparison": GROUND | {"comparison", "recording", "sinks", "version"},
 }
 FOREIGN = {  # what only some rooms may know
-    "rerun": {"vlmm_log/sinks", "vlmm_log/recording"},
+    "rerun": {"vlmm_log/comparison", "vlmm_log/sinks", "vlmm_log/recording"},
     "mcap": {"vlmm_log/ros", "vlmm_log/recording", "readers"},
     "rosbags": {"vlmm_log/ros", "vlmm_log/writers", "readers"},
     "foxglove": {"vlmm_log/sinks"},
+    "matplotlib": {"vlmm_log/comparison"},
+    "jinja2": {"vlmm_log/comparison"},
+    "rerun_cli": {"vlmm_log/viewing.py"},
     "xxhash": {"vlmm_log/sinks", "vlmm_log/recording"},
     "torch": {"vlmm_log/models"},
     "torchvision": {"vlmm_log/models"},

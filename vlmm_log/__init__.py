@@ -9,17 +9,19 @@ from vlmm_log.version import __version__
 if TYPE_CHECKING:
     from vlmm_log.api import process
     from vlmm_log.ask import load_map, query
+    from vlmm_log.compare import diff
     from vlmm_log.conversion import convert
     from vlmm_log.diagnosis import doctor
     from vlmm_log.readers import open_log
     from vlmm_log.settings import Settings
     from vlmm_log.survey import info
 
-__all__ = ["Settings", "__version__", "convert", "doctor", "info", "load_map", "open_log", "process", "query"]
+__all__ = ["Settings", "__version__", "convert", "diff", "doctor", "info", "load_map", "open_log", "process", "query"]
 
 _HOME = {
     "Settings": "vlmm_log.settings",
     "convert": "vlmm_log.conversion",
+    "diff": "vlmm_log.compare",
     "doctor": "vlmm_log.diagnosis",
     "info": "vlmm_log.survey",
     "load_map": "vlmm_log.ask",

@@ -17,8 +17,10 @@ from vlmm_log.tables import (
     print_answer,
     print_converted,
     print_diagnosis,
+    print_difference,
     print_info,
     print_run,
+    printable,
     run_report,
 )
 from vlmm_log.version import __version__
@@ -297,6 +299,80 @@ def query(
         print_answer(found, limit, explain)
     if not found.answer.matches:
         sys.exit(NOTHING)
+
+
+@cli.command(
+    epilog="Examples: vlmm-log diff before.rrd after.rrd; vlmm-log diff a.rrd b.mcap --atol 0.01 --html diff.html"
+)
+@click.argument("a", type=click.Path(path_type=Path))
+@click.argument("b", type=click.Path(path_type=Path))
+@click.option("--atol", multiple=True, metavar="[ENTITY=]X", help="Absolute tolerance; repeatable. Poses: cm, degrees.")
+@click.option("--rtol", multiple=True, metavar="[ENTITY=]X", help="Tolerance relative to B; repeatable.")
+@click.option("--only", multiple=True, metavar="ENTITY", help="Compare these alone: names or patterns; repeatable.")
+@click.option("--ignore", multiple=True, metavar="ENTITY", help="Leave these out; repeatable.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write all of it as JSON; - prints it.")
+@click.option(
+    "--html", type=click.Path(path_type=Path), help="Write it as one page, with pictures of the worst frames."
+)
+@click.option("--rrd", type=click.Path(path_type=Path), help="Write A, B and their difference as one recording.")
+@click.option("--force", is_flag=True, help="Replace existing outputs.")
+def diff(
+    a: Path,
+    b: Path,
+    atol: tuple[str, ...],
+    rtol: tuple[str, ...],
+    only: tuple[str, ...],
+    ignore: tuple[str, ...],
+    json_file: Path | None,
+    html: Path | None,
+    rrd: Path | None,
+    force: bool,
+) -> None:
+    """Say what differs between two recordings (.rrd, .mcap) or maps: B against A. Exit code 1: something does.
+
+    Settings and inputs first, then the first frame and the earliest stage that differ, then every entity. ENTITY is a
+    name as in the viewer, world/camera/image/residual/d_m, or a pattern, "world/map/*".
+    """
+    from vlmm_log.compare import diff as run
+    from vlmm_log.comparison.report import report
+    from vlmm_log.comparison.tolerance import Choice, Tolerance
+
+    tolerance, choice = Tolerance.parse(atol, rtol), Choice(only, ignore)
+    printed = json_file == Path("-")
+    with progress("entities") as told:
+        done = run(
+            a,
+            b,
+            tolerance=tolerance,
+            choice=choice,
+            json=None if printed else json_file,
+            html=html,
+            rrd=rrd,
+            force=force,
+            progress=told,
+        )
+    if printed:
+        click.echo(json.dumps(report(done), indent=1))
+    else:
+        print_difference(done)
+        for path in (json_file, html, rrd):
+            if path is not None:
+                click.echo(f"wrote {printable(str(path))}")
+    if not done.same:
+        sys.exit(FOUND)
+
+
+@cli.command(epilog="Examples: vlmm-log view out.rrd; vlmm-log view before.rrd after.rrd; vlmm-log view out.rrd --web")
+@click.argument("files", nargs=-1, required=True, metavar="FILE [FILE]", type=click.Path(path_type=Path))
+@click.option("--web", is_flag=True, help="Serve it for a browser on this machine (127.0.0.1) instead.")
+@click.option("--port", type=click.IntRange(1, 65534), default=9090, show_default=True, help="Of the page, with --web.")
+def view(files: tuple[Path, ...], web: bool, port: int) -> None:
+    """Show a recording (.rrd, .mcap) in the Rerun viewer, or two side by side under one timeline."""
+    from vlmm_log.viewing import view as run
+
+    if len(files) > 2:
+        raise click.UsageError("view shows one recording or two")
+    sys.exit(run(files, web=web, port=port, tell=lambda line: click.echo(line, err=True)))
 
 
 def main() -> None:

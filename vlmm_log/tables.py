@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from vlmm_log.api import Processed
     from vlmm_log.ask import Found
+    from vlmm_log.comparison.difference import Difference
     from vlmm_log.conversion import Converted
     from vlmm_log.diagnosis import Diagnosis
     from vlmm_log.survey import Info
@@ -67,6 +68,32 @@ def print_answer(found: Found, limit: int, explain: bool) -> None:
         console.print(f"  {told}", highlight=False)
     for path in found.outputs:
         console.print(f"wrote {printable(str(path))}", highlight=False, soft_wrap=True)
+
+
+def print_difference(d: Difference, limit: int = 40) -> None:
+    """What differs: in words, then settings, entities and elements, a line each."""
+    from rich.console import Console
+
+    from vlmm_log.comparison.words import entity_words, grouped, id_words, summary
+
+    console = Console(markup=False)
+
+    def show(title: str, lines: list[str]) -> None:
+        if lines:
+            console.print(title, style="bold", highlight=False)
+        for line in lines[:limit]:
+            console.print(f"  {printable(line)}", highlight=False, soft_wrap=True)
+        if len(lines) > limit:
+            console.print(f"  and {len(lines) - limit} more: --json tells all", highlight=False)
+
+    console.print(f"A {printable(d.a)}\nB {printable(d.b)}", highlight=False, soft_wrap=True)
+    for line in summary(d):
+        console.print(printable(line), highlight=False, soft_wrap=True)
+    show("settings, A -> B", [f"{c.name}: {c.a} -> {c.b}" for c in d.settings])
+    show("entities, in the order of the stages", [entity_words(name, group) for name, group in grouped(d.entities)])
+    changes = [c for c in d.elements.changes if c.kinds != ("changed",)]
+    show("elements", [f"{id_words(c)} {c.label}: {', '.join(c.kinds)}: {c.told}" for c in changes])
+    show("about the runs, A -> B", [f"{change.name}: {change.a} -> {change.b}" for change in d.about])
 
 
 ROWS = {  # figure -> what the table calls it, how it is written

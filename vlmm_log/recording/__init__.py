@@ -21,6 +21,11 @@ class Recording(Protocol):
         ...
 
     @property
+    def file(self) -> Path:
+        """What is read of it: the same, or a copy without its torn end, as long as the recording is in use."""
+        ...
+
+    @property
     def run(self) -> Run:
         """What was asked for."""
         ...
@@ -38,6 +43,11 @@ class Recording(Protocol):
     @property
     def by_entity(self) -> bool:
         """Whether reading one entity is cheaper than reading all."""
+        ...
+
+    @property
+    def looks(self) -> bool:
+        """Whether it holds what only decides how a viewer draws."""
         ...
 
     @property

@@ -46,6 +46,12 @@ class McapRecording:
     topics: dict[int, _Topic]
     lost: list[str] = field(default_factory=list)
     by_entity: bool = False
+    looks: bool = False
+
+    @property
+    def file(self) -> Path:
+        """See Recording."""
+        return self.path
 
     @property
     def entities(self) -> frozenset[str]:

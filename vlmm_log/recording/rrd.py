@@ -25,7 +25,6 @@ RUN, END = "/__properties/vlmm", "/__properties/vlmm_end"
 FOOTER = b"RRF2FOOT"  # starts the last twelve bytes of a whole recording
 STREAM_HEADER, MESSAGE_HEADER = 12, struct.Struct("<QQ")  # kind and length of what follows
 TIMELINES = ("frame", "time")
-NO_DATA = ("run", "world")  # what a viewer shows of the properties; the up axis
 
 
 @dataclass
@@ -40,6 +39,7 @@ class Rrd:
     components: dict[str, set[str]]  # of each entity, in time; {} where that is not known
     file: Path  # what is read: without a torn end
     lost: list[str] = field(default_factory=list)
+    looks: bool = True
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -98,7 +98,7 @@ def open_rrd(path: Path) -> Rrd:
         if file != path:
             file.unlink()
         raise
-    entities = frozenset(name for name in components if name not in NO_DATA and not name.startswith("__properties"))
+    entities = frozenset(name for name in components if not name.startswith("__properties"))
     recording = Rrd(path, run, end, entities, whole, components if whole else {}, file, lost)
     if file != path:
         weakref.finalize(recording, file.unlink, missing_ok=True)

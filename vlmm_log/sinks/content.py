@@ -18,6 +18,7 @@ from vlmm_log.sinks.stages import stage_of
 from vlmm_log.sinks.views import VALIDITY_COLORS
 from vlmm_log.types import Ego, FlowField, Frame, FramePair, Motion, Odometry, RunEnd, Segments, Skipped
 
+VALIDITY_NAMES = LabelNames(tuple((int(v), v.name.lower(), color) for v, color in VALIDITY_COLORS.items()))
 STILL = LabelNames | StateNames  # what holds for the whole recording
 
 
@@ -35,8 +36,7 @@ class Content:
 
     def begin(self) -> Iterator[Entry]:
         """What is known before the first result."""
-        classes = tuple((int(v), v.name.lower(), color) for v, color in VALIDITY_COLORS.items())
-        yield Entry(f"{IMAGE}/validity", LabelNames(classes), None, None)
+        yield Entry(f"{IMAGE}/validity", VALIDITY_NAMES, None, None)
 
     def of(self, result: Result, at: Moment) -> Iterator[Entry]:
         """The entries of one result."""
@@ -49,7 +49,8 @@ class Content:
         if stage is not None:
             yield from _entries([(f"stats/stage_ms/{stage}", Scalar(at.elapsed_ms))], at)
         if not isinstance(result, Skipped):
-            self._digests[stage or "input"] = digest(result)
+            name = stage or "input"
+            self._digests[name] = digest((self._digests[name], result) if name in self._digests else result)
 
     def rest(self, end: RunEnd) -> Iterator[Entry]:
         """What is left to say."""

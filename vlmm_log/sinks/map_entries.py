@@ -5,7 +5,7 @@ from __future__ import annotations
 import colorsys
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -67,7 +67,8 @@ class MapEntries:
         self._world = result
         elements = result.columns
         if len(elements):
-            yield f"{MAP}/elements", Table(element_columns(elements), _ellipsoids(elements))
+            columns = element_columns(elements)
+            yield f"{MAP}/elements", Table(columns, element_ellipsoids(columns))
         yield from self._unseen(result)
         for i in result.touched:
             if i in result.elements:
@@ -214,11 +215,13 @@ def _features(result: WorldMap, index: int | None) -> Iterator[Named]:
         yield f"{MAP}/features", Table({"element_id": np.array([e.id for e in best], np.int64), "feature": vectors})
 
 
-def _ellipsoids(elements: Elements) -> Ellipsoids:
+def element_ellipsoids(columns: Mapping[str, Column]) -> Ellipsoids:
+    """How a table of elements looks in space: coloured by class."""
+    named = zip(columns["element_id"], columns["label"], strict=True)
     return Ellipsoids(
-        *_shapes(elements.positions, elements.extents),
-        colors=tuple(CLASS_COLORS[MotionClass(c)] for c in elements.motion_class),
-        labels=tuple(f"{i} {name}".strip() for i, name in zip(elements.ids, elements.labels, strict=True)),
+        *_shapes(np.asarray(columns["position"], np.float32), np.asarray(columns["extent"], np.float32)),
+        colors=tuple(CLASS_COLORS[MotionClass[str(c).upper()]] for c in columns["motion_class"]),
+        labels=tuple(f"{i} {name}".strip() for i, name in named),
         labelled=False,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal, assert_never
 
 import numpy as np
@@ -36,7 +37,8 @@ from vlmm_log.sinks.pair_entries import IMAGE
 from vlmm_log.sinks.scalars import ScalarColumns
 from vlmm_log.types import EncodedImage
 
-LOOKS: dict[str, tuple[float, float, Literal["turbo", "viridis", "magma"]]] = {  # range and colours
+Range = tuple[float, float, Literal["turbo", "viridis", "magma"]]
+LOOKS: Mapping[str, Range] = {  # range and colours
     f"{IMAGE}/residual/d_m": (0.0, 8.0, "turbo"),
     f"{IMAGE}/residual/norm": (0.0, 0.3, "turbo"),
     f"{IMAGE}/residual/sigma_z": (0.0, 0.1, "viridis"),
@@ -60,9 +62,9 @@ class RerunValues:
         self._at: tuple[int | None, int | None] = (None, None)
         rec.set_log_time_enabled(False)  # nothing but the input decides what is written
 
-    def looks(self) -> None:
+    def looks(self, ranges: Mapping[str, Range] = LOOKS) -> None:
         """Colours of the dense fields, once."""
-        for entity, (low, high, colors) in LOOKS.items():
+        for entity, (low, high, colors) in ranges.items():
             look = rr.DepthImage.from_fields(meter=1.0, colormap=colors, depth_range=[low, high])
             self._rec.log(self._prefix + entity, look, static=True)
 

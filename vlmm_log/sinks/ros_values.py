@@ -9,6 +9,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from vlmm_log.depth_pixels import metric_pixels
 from vlmm_log.entries import (
     Arrows,
     Boxes,
@@ -33,7 +34,6 @@ from vlmm_log.entries import (
 from vlmm_log.ros.mcap import ros2_definition
 from vlmm_log.ros.messages import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, NUMBER, TRANSFORMS, Placed, Ros
 from vlmm_log.ros.vision import DEFINITIONS
-from vlmm_log.sinks.depth_pixels import metric_pixels
 from vlmm_log.sinks.mcap import Message, table_name, topic_of
 from vlmm_log.types import Float64
 

@@ -1,0 +1,121 @@
+"""Two maps: which element of one is which of the other, and what became of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlmm_log.comparison.difference import ElementChange, ElementsDifference, QueryDifference
+from vlmm_log.entries import Column, Table
+
+NEAR_M = 0.5  # elements of different ids that are farther apart are not the same
+OTHER_LABEL = 1.0  # what a different label costs, in NEAR_M: only one of the same place outweighs it
+FIGURES = ("o", "kappa", "rho", "confidence", "score", "speed", "p_stat")
+TEXTS = ("rho_source",)
+Columns = Mapping[str, Column]
+
+
+def elements_difference(a: Table | None, b: Table | None, atol: float, rtol: float) -> ElementsDifference:
+    """Elements matched by id, then across ids by position and label; what was added, removed, or is not as it was."""
+    x, y = (table.columns if table is not None and len(table) else None for table in (a, b))
+    pairs = [] if x is None or y is None else _pairs(x, y)
+    changes = [] if x is None or y is None else [_change(x, y, i, j, atol, rtol) for i, j in pairs]
+    lost = set(range(0 if a is None else len(a))) - {i for i, _ in pairs}
+    new = set(range(0 if b is None else len(b))) - {j for _, j in pairs}
+    changes += [_alone(x, i, "removed") for i in sorted(lost) if x is not None]
+    changes += [_alone(y, j, "added") for j in sorted(new) if y is not None]
+    return ElementsDifference(len(pairs), tuple(change for change in changes if change is not None))
+
+
+def _ids(columns: Columns) -> list[int]:
+    return [int(i) for i in columns["element_id"]]
+
+
+def _pairs(a: Columns, b: Columns) -> list[tuple[int, int]]:
+    """Rows that are one thing: of the same id, if near or of the same label, then the nearest by place and label."""
+    number = {i: j for j, i in enumerate(_ids(b))}
+    same = [(i, number[key]) for i, key in enumerate(_ids(a)) if key in number]
+    pairs = [(i, j) for i, j in same if _apart(a, b, i, j) <= NEAR_M or a["label"][i] == b["label"][j]]
+    rest_a = sorted(set(range(len(a["label"]))) - {i for i, _ in pairs})
+    rest_b = sorted(set(range(len(b["label"]))) - {j for _, j in pairs})
+    return sorted(pairs + _assigned(a, b, rest_a, rest_b))
+
+
+def _assigned(a: Columns, b: Columns, rest_a: list[int], rest_b: list[int]) -> list[tuple[int, int]]:
+    from scipy.optimize import linear_sum_assignment
+
+    if not rest_a or not rest_b:
+        return []
+    far = np.linalg.norm(_positions(a)[rest_a, None] - _positions(b)[None, rest_b], axis=2) / NEAR_M
+    other = np.array([[a["label"][i] != b["label"][j] for j in rest_b] for i in rest_a])
+    cost = far + OTHER_LABEL * other
+    allowed = (far <= 1) & (cost <= 1.5)  # another label only at half the distance
+    rows, columns = linear_sum_assignment(np.where(allowed, cost, 1e6))
+    return [(rest_a[i], rest_b[j]) for i, j in zip(rows, columns, strict=True) if allowed[i, j]]
+
+
+def _positions(columns: Columns) -> NDArray[np.float64]:
+    return np.asarray(columns["position"], np.float64).reshape(-1, 3)
+
+
+def _apart(a: Columns, b: Columns, i: int, j: int) -> float:
+    return float(np.linalg.norm(_positions(a)[i] - _positions(b)[j]))
+
+
+def _alone(columns: Columns, row: int, kind: str) -> ElementChange:
+    i, label = int(columns["element_id"][row]), str(columns["label"][row])
+    told = (
+        f"{columns['motion_class'][row]}, o {float(columns['o'][row]):.2f}, {int(columns['observations'][row])} pairs"
+    )
+    a, b = (i, None) if kind == "removed" else (None, i)
+    return ElementChange(a, b, label, (kind,), told)
+
+
+def _change(a: Columns, b: Columns, i: int, j: int, atol: float, rtol: float) -> ElementChange | None:
+    kinds, told = [], []
+    metres = _apart(a, b, i, j)
+    if _beyond(_positions(a)[i], _positions(b)[j], atol, rtol):
+        kinds.append("moved")
+        told.append(f"by {100 * metres:.3g} cm")
+    if a["label"][i] != b["label"][j]:
+        kinds.append("relabelled")
+        told.append(f"{a['label'][i]!r} -> {b['label'][j]!r}")
+    if a["motion_class"][i] != b["motion_class"][j]:
+        kinds.append("flipped")
+        told.append(f"{a['motion_class'][i]} -> {b['motion_class'][j]}")
+    figures = [name for name in FIGURES if _beyond(_figure(a, name, i), _figure(b, name, j), atol, rtol)]
+    figures += [name for name in TEXTS if a[name][i] != b[name][j]]
+    figures += ["observations"] if int(a["observations"][i]) != int(b["observations"][j]) else []
+    if figures:
+        kinds.append("changed")
+        told += [f"{name} {_short(a[name][i])} -> {_short(b[name][j])}" for name in figures]
+    ids = int(a["element_id"][i]), int(b["element_id"][j])
+    if not kinds and ids[0] == ids[1]:
+        return None
+    return ElementChange(*ids, str(a["label"][i]), tuple(kinds or ["renumbered"]), ", ".join(told))
+
+
+def _figure(columns: Columns, name: str, row: int) -> NDArray[Any]:
+    return np.asarray(columns[name], np.float64)[row : row + 1]
+
+
+def _beyond(a: NDArray[Any], b: NDArray[Any], atol: float, rtol: float) -> bool:
+    both_nan = np.isnan(a) & np.isnan(b)
+    return bool((~(np.abs(a - b) <= atol + rtol * np.abs(b)) & ~both_nan).any())
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float | np.floating) else str(value)
+
+
+def query_difference(query: str, a: Table | None, b: Table | None) -> QueryDifference | None:
+    """Ranks of a query's last answers, by element id; None where they are the same."""
+    ranks = [{i: k + 1 for k, i in enumerate(_ids(t.columns) if t is not None and len(t) else [])} for t in (a, b)]
+    if ranks[0] == ranks[1]:
+        return None
+    elements = sorted(ranks[0].keys() | ranks[1].keys(), key=lambda i: (ranks[0].get(i, 1 << 30), i))
+    told = ((f"element {i}", ranks[0].get(i), ranks[1].get(i)) for i in elements)
+    return QueryDifference(query, tuple(row for row in told if row[1] != row[2]))

@@ -1,0 +1,84 @@
+"""``view``: a recording in the Rerun viewer; two as their merged recording."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from vlmm_log.recording import is_recording, open_recording
+from vlmm_log.types import InputError
+
+WEB_PORT, GRPC_PORT = 9090, 9876
+
+
+@dataclass(frozen=True)
+class Viewed:
+    """What is shown."""
+
+    file: Path
+    told: tuple[str, ...]  # what is missing of it
+    command: tuple[str, ...]  # that shows it
+
+
+def prepare(files: Sequence[Path], folder: Path, *, web: bool, port: int = WEB_PORT) -> Viewed:
+    """The command that shows one recording, or two side by side, merged into ``folder``.
+
+    A viewer for a browser is served on loopback alone. Raises InputError where a file is no recording.
+    """
+    for path in files:
+        if not path.is_file() or not is_recording(path):
+            raise InputError(f"{path}: not a recording; give a .rrd or .mcap")
+    told: list[str] = []
+    opened = [open_recording(path) for path in files]
+    for path, recording in zip(files, opened, strict=True):
+        if recording.end is None or not recording.end.complete:
+            told.append(f"{path}: incomplete: its run was interrupted or cut off")
+        told += [f"{path}: {loss}" for loss in recording.losses]
+    shown = files[0]
+    if len(files) == 2:
+        from vlmm_log.compare import diff
+
+        shown = folder / "merged.rrd"
+        diff(files[0], files[1], rrd=shown)
+    elif opened[0].file != shown or shown.name.endswith(
+        ".partial"
+    ):  # the viewer goes by the name, and reads no torn end
+        shown = Path(shutil.copy(opened[0].file, folder / shown.name.removesuffix(".partial")))
+    served = ("--web-viewer", "--bind", "127.0.0.1", "--web-viewer-port", str(port), "--port", str(_beside(port)))
+    command = (str(_viewer()), str(shown), *(served if web else ()))
+    return Viewed(shown, tuple(told), command)
+
+
+def _viewer() -> Path:
+    """The program itself: ending the script around it would leave it running."""
+    import rerun_cli
+
+    return Path(rerun_cli.__file__).with_name("rerun.exe" if sys.platform == "win32" else "rerun")
+
+
+def _beside(port: int) -> int:
+    return GRPC_PORT if port == WEB_PORT else port + 1
+
+
+def view(
+    files: Sequence[Path], *, web: bool = False, port: int = WEB_PORT, tell: Callable[[str], None] = lambda _: None
+) -> int:
+    """Show recordings until the viewer is closed; its exit code. ``tell`` hears what is missing of them.
+
+    Raises InputError as ``prepare`` does.
+    """
+    with tempfile.TemporaryDirectory(prefix="vlmm-log-") as folder:
+        viewed = prepare(files, Path(folder), web=web, port=port)
+        for line in viewed.told:
+            tell(line)
+        if web:
+            tell(f"open http://127.0.0.1:{port}?url=rerun%2Bhttp://127.0.0.1:{_beside(port)}/proxy")
+        try:
+            return subprocess.run(viewed.command, check=False).returncode
+        except KeyboardInterrupt:
+            return 0
