@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vlmm_log.recording import is_recording, open_recording
-from vlmm_log.types import InputError
+from vlmm_log.recording import Recording, is_mcap, is_recording, open_recording
+from vlmm_log.types import InputError, RunEnd
 
 WEB_PORT, GRPC_PORT = 9090, 9876
 
@@ -45,6 +45,8 @@ def prepare(files: Sequence[Path], folder: Path, *, web: bool, port: int = WEB_P
 
         shown = folder / "merged.rrd"
         diff(files[0], files[1], rrd=shown)
+    elif is_mcap(shown):  # its importer knows neither our layout nor the frames' numbers
+        shown = _as_rrd(opened[0], folder / "recording.rrd")
     elif opened[0].file != shown or shown.name.endswith(
         ".partial"
     ):  # the viewer goes by the name, and reads no torn end
@@ -52,6 +54,20 @@ def prepare(files: Sequence[Path], folder: Path, *, web: bool, port: int = WEB_P
     served = ("--web-viewer", "--bind", "127.0.0.1", "--web-viewer-port", str(port), "--port", str(_beside(port)))
     command = (str(_viewer()), str(shown), *(served if web else ()))
     return Viewed(shown, tuple(told), command)
+
+
+def _as_rrd(recording: Recording, target: Path) -> Path:
+    """The same content as a Rerun recording."""
+    from vlmm_log.sinks.redrawn import Redrawn
+    from vlmm_log.sinks.rerun import RerunFile
+
+    container = RerunFile(target, recording.run)
+    drawn = Redrawn(container)
+    for entry in recording.entries(recording.entities):
+        drawn.put(entry)
+    drawn.rest()
+    container.finish(recording.end or RunEnd(False, "", 0, 0))
+    return target
 
 
 def _viewer() -> Path:

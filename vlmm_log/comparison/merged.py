@@ -12,12 +12,12 @@ import rerun as rr
 from vlmm_log.comparison.alignment import Match
 from vlmm_log.comparison.merged_blueprint import merged_blueprint
 from vlmm_log.depth_pixels import metres
-from vlmm_log.entries import Boxes, DepthMap, Entry, LabelNames, Labels, Raster, Scalar, Table, Value
+from vlmm_log.entries import DepthMap, Entry, LabelNames, Labels, Raster, Scalar, Value
 from vlmm_log.recording import Recording
-from vlmm_log.sinks.content import VALIDITY_NAMES
 from vlmm_log.sinks.footer import finish
-from vlmm_log.sinks.map_entries import CLEAR, MAP, element_ellipsoids, id_color, mask_classes
+from vlmm_log.sinks.map_entries import CLEAR
 from vlmm_log.sinks.pair_entries import IMAGE
+from vlmm_log.sinks.redrawn import Redrawn
 from vlmm_log.sinks.rerun import UP
 from vlmm_log.sinks.rerun_values import Range, RerunValues
 
@@ -50,13 +50,12 @@ class Merged:
         )
         self._sides = [RerunValues(self._rec, f"{side}/") for side in SIDES]
         self._delta = RerunValues(self._rec, "delta/")
-        self._names: tuple[dict[int, str], dict[int, str]] = ({}, {})  # of elements in the masks
         self._rec.save(path, default_blueprint=merged_blueprint())
         self._rec.send_recording_name(" | ".join(r.path.name for r in recordings))
         for recording, side, values in zip(recordings, SIDES, self._sides, strict=True):
             self._rec.log(f"{side}/world", UP[recording.run.world_up], static=True)
             values.looks()
-            values.put(Entry(f"{IMAGE}/validity", VALIDITY_NAMES, None, None))
+        self._drawn = [Redrawn(values) for values in self._sides]
         self._delta.looks(RANGES)
         for entity in MASKS:
             self._delta.put(Entry(entity, DIFFERS, None, None))
@@ -66,10 +65,9 @@ class Merged:
         at = match.at
         for side, value in enumerate((match.a, match.b)):
             if value is not None:
-                self._remember(side, value)
                 late_ns = match.late_ns if side and match.a is not None else 0
                 stamp_ns = None if at.stamp_ns is None else at.stamp_ns + late_ns
-                self._sides[side].put(Entry(match.entity, _shown(match.entity, value), stamp_ns, at.index))
+                self._drawn[side].put(Entry(match.entity, value, stamp_ns, at.index))
         if match.a is not None and match.b is not None and at.stamp_ns is not None:
             delta = _delta(match.a, match.b)
             if delta is not None:
@@ -77,9 +75,8 @@ class Merged:
 
     def finish(self, told: str) -> None:
         """Write what is to read of the difference (Markdown) and the footer. Raises OSError or RuntimeError."""
-        for values, names in zip(self._sides, self._names, strict=True):
-            classes = tuple((c, name, id_color(c)) for c, name in sorted(names.items()))
-            values.put(Entry(f"{IMAGE}/instances", LabelNames(((0, "", CLEAR), *classes)), None, None))
+        for values, drawn in zip(self._sides, self._drawn, strict=True):
+            drawn.rest()
             values.flush()
         self._delta.flush()
         self._rec.log("diff", rr.TextDocument(told, media_type="text/markdown"), static=True)
@@ -88,18 +85,6 @@ class Merged:
     def close(self) -> None:
         """Let go of the file."""
         self._rec.disconnect()
-
-    def _remember(self, side: int, value: Value) -> None:
-        if isinstance(value, Boxes):
-            for c, i, name in zip(mask_classes(value.ids), value.ids, value.names, strict=True):
-                self._names[side][int(c)] = f"{i} {name}".strip()
-
-
-def _shown(entity: str, value: Value) -> Value:
-    """A table of elements as ellipsoids again: recordings give back figures, not looks."""
-    if entity == f"{MAP}/elements" and isinstance(value, Table) and len(value):
-        return Table(value.columns, element_ellipsoids(value.columns))
-    return value
 
 
 def _delta(a: Value, b: Value) -> Value | None:

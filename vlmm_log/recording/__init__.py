@@ -65,11 +65,16 @@ def is_recording(path: Path) -> bool:
     return path.name.removesuffix(".partial").endswith(SUFFIXES)
 
 
+def is_mcap(path: Path) -> bool:
+    """Whether a recording is called like one in MCAP."""
+    return path.name.removesuffix(".partial").endswith(".mcap")
+
+
 def open_recording(path: Path) -> Recording:
     """A recording of ``process``. Raises InputError where the file is none."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a recording (.rrd or .mcap)")
-    if path.name.removesuffix(".partial").endswith(".mcap"):
+    if is_mcap(path):
         from vlmm_log.recording.mcap import open_mcap
 
         return open_mcap(path)

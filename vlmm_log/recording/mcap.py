@@ -14,11 +14,11 @@ from mcap.records import Channel, Metadata, Schema
 from vlmm_log.entries import Entry
 from vlmm_log.readers.bag.chunked import ChunkError, Record
 from vlmm_log.readers.bag.containers import MessageError
-from vlmm_log.readers.bag.mcap_index import top_records
+from vlmm_log.readers.bag.mcap_index import McapIndex, from_summary, top_records
 from vlmm_log.readers.bag.mcap_records import MAGIC, contents, messages, parsed, read_at, uncompressed
 from vlmm_log.readers.bag.schemas import Decoder, decoder, type_name
 from vlmm_log.readers.bag.schemas import Schema as Described
-from vlmm_log.recording.mcap_values import Parts, value
+from vlmm_log.recording.mcap_values import Parts, parts_with, value
 from vlmm_log.settings import Settings
 from vlmm_log.types import InputError, Run, RunEnd
 
@@ -33,6 +33,7 @@ class _Topic(NamedTuple):
     value: str  # its kind
     part: str
     still: bool
+    schema: Described
     decode: Decoder
 
 
@@ -67,7 +68,6 @@ class McapRecording:
         """See Recording."""
         wanted = {key: t for key, t in self.topics.items() if t.entity in entities and t.part != VIEW}
         parts: dict[tuple[str, int], Parts] = {}  # a value of several messages, as far as it was read
-        needed = {t.entity: {x.part for x in wanted.values() if x.entity == t.entity} for t in wanted.values()}
         with self.path.open("rb") as file:
             for record in (r for data in _chunks(file, self.lost) for r in messages(data)):
                 topic = wanted.get(record.channel)
@@ -81,14 +81,14 @@ class McapRecording:
                 key = (topic.entity, record.log_ns)
                 gathered = parts.setdefault(key, {})
                 gathered[topic.part] = message
-                if gathered.keys() >= needed[topic.entity]:
+                if gathered.keys() >= set(parts_with(topic.part)):
                     yield from self._read(topic, parts.pop(key), record)
         for entity, stamp_ns in parts:
             _tell(self.lost, f"{entity} at {stamp_ns} ns: has lost a part")
 
     def _read(self, topic: _Topic, parts: Parts, at: Record) -> Iterator[Entry]:
         try:
-            read = value(topic.value, parts)
+            read = value(topic.value, topic.schema, parts)
         except (ValueError, LookupError, AttributeError, TypeError) as e:
             _tell(self.lost, f"{topic.entity} at {at.log_ns} ns: cannot be read: {e}")
             return
@@ -98,52 +98,43 @@ class McapRecording:
 
 def open_mcap(path: Path) -> McapRecording:
     """A recording of ``process``, also one that was cut off. Raises InputError where the file is none."""
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    told: dict[str, dict[str, str]] = {}
-    lost: list[str] = []
     try:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise InputError(f"{path}: is no MCAP file, its first bytes are others")
-            for opcode, content in _descriptions(file):
-                if opcode == 0x03:
-                    schema = parsed(Schema, content)
-                    schemas[schema.id] = schema
-                elif opcode == 0x04:
-                    channel = parsed(Channel, content)
-                    channels[channel.id] = channel
-                else:
-                    record = parsed(Metadata, content)
-                    told[record.name] = record.metadata
+            index, told, whole = _explored(file)
     except (OSError, ChunkError) as e:
         raise InputError(f"{path}: cannot be read: {e}") from e
-    if RUN not in told or not any("entity" in c.metadata for c in channels.values()):
+    channels = {key: c for key, c in index.channels.items() if "entity" in c.metadata and c.schema_id in index.schemas}
+    if RUN not in told or not channels:
         raise InputError(f"{path}: not a recording of vlmm-log process: it holds no settings or no entities")
-    topics = {key: _topic(c, schemas[c.schema_id]) for key, c in channels.items() if "entity" in c.metadata}
+    topics = {key: _topic(channel, index.schemas[channel.schema_id]) for key, channel in channels.items()}
     end = _end(told[END]) if END in told else None
-    if end is None:
-        lost.insert(0, "its writer did not finish")
+    lost = ["its writer did not finish"] if end is None else [] if whole else ["it is cut off or damaged"]
     return McapRecording(path, _run(path, told[RUN]), end, topics, lost)
 
 
 def _topic(channel: Channel, schema: Schema) -> _Topic:
     known = type_name(schema.name, channel.message_encoding, schema.encoding)
-    decode = decoder(Described(known, channel.message_encoding, schema.encoding, schema.data))
-    about = channel.metadata
-    return _Topic(about["entity"], about["value"], about["part"], "offered_qos_profiles" in about, decode)
+    described = Described(known, channel.message_encoding, schema.encoding, schema.data)
+    about, decode = channel.metadata, decoder(described)
+    return _Topic(about["entity"], about["value"], about["part"], "offered_qos_profiles" in about, described, decode)
 
 
-def _descriptions(file: BinaryIO) -> Iterator[tuple[int, bytes | memoryview]]:
-    """Opcode and content of all schemas, channels and metadata; of a file without a summary, also those in chunks."""
-    size, summarised = os.fstat(file.fileno()).st_size, False
-    for opcode, start, stop in top_records(file, size):
-        summarised |= opcode == 0x0F
-        if opcode in (0x03, 0x04, 0x0C):
-            yield opcode, read_at(file, start, stop - start)
-    if not summarised:
-        for data in _chunks(file, []):
-            yield from ((opcode, data[a:b]) for opcode, a, b in contents(data) if opcode in (0x03, 0x04))
+def _explored(file: BinaryIO) -> tuple[McapIndex, dict[str, dict[str, str]], bool]:
+    """Schemas and channels, metadata by name, and whether the summary is there and lists the chunks that are."""
+    size = os.fstat(file.fileno()).st_size
+    records = list(top_records(file, size))
+    found = (parsed(Metadata, read_at(file, start, stop - start)) for opcode, start, stop in records if opcode == 0x0C)
+    told = {record.name: record.metadata for record in found}
+    index = from_summary(file, size)
+    if index is not None:
+        return index, told, len(index.chunks) == sum(opcode == 0x06 for opcode, _, _ in records)
+    index = McapIndex()
+    for data in _chunks(file, []):
+        for opcode, start, stop in contents(data):
+            index.learn(opcode, data[start:stop])
+    return index, told, False
 
 
 def _chunks(file: BinaryIO, lost: list[str]) -> Iterator[memoryview]:

@@ -90,11 +90,8 @@ def _pixels(c: Cells) -> NDArray[Any]:
 
 
 def _field(c: Cells) -> Raster | DepthMap:
-    """A field of floats; integers are depth that was not encoded."""
-    pixels = _pixels(c)
-    if pixels.dtype.kind == "f":
-        return Raster(pixels)
-    return DepthMap(pixels, float(numbers(c["meter"])[0]) if "meter" in c else 1.0)
+    """A field of numbers, or depth that was not encoded: that has a unit."""
+    return DepthMap(_pixels(c), float(numbers(c["meter"])[0])) if "meter" in c else Raster(_pixels(c))
 
 
 def _tensor(c: Cells) -> Raster:

@@ -14,6 +14,7 @@ from vlmm_log.sinks import views
 from vlmm_log.types import Ego, Float64, FlowField, Frame, FramePair, Motion
 
 IMAGE = "world/camera/image"
+VECTORS = f"{IMAGE}/residual/vectors"
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 MOVED = (230, 159, 0)
 
@@ -88,7 +89,7 @@ def of_motion(pair: FramePair, motion: Motion, *, dense: bool) -> Iterator[Named
         covariance = views.half(thin.upper * 1e4)  # cm^2: metres squared underflow half precision
     yield from ((f"{path}/{name}", Raster(values)) for name, values in fields.items())
     yield f"{path}/covariance", Raster(covariance, COVARIANCE)
-    yield f"{path}/vectors", Arrows(*views.moved_arrows(motion, pair.first, pair.second), color=MOVED)
+    yield VECTORS, Arrows(*views.moved_arrows(motion, pair.first, pair.second), color=MOVED)
 
 
 def _jpeg(rgb: NDArray[np.uint8], quality: int) -> bytes:

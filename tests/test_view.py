@@ -1,0 +1,94 @@
+"""``view``: what it would start, what it says is missing, and the page that it serves."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+import render_room
+import vlmm_log
+from vlmm_log.types import InputError
+from vlmm_log.viewing import prepare
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    render_room.write_tum(folder / "room", 5)
+    vlmm_log.process(folder / "room", rrd=folder / "a.rrd", mcap=folder / "a.mcap")
+    return folder / "a.rrd", folder / "a.mcap"
+
+
+def test_one_recording_is_opened_as_it_is(recordings, tmp_path):
+    path = recordings[0]
+    viewed = prepare([path], tmp_path, web=False)
+    assert (viewed.file, viewed.told) == (path, ())
+    assert viewed.command[1:] == (str(path),)
+
+
+def test_an_mcap_is_shown_as_the_recording_that_it_could_have_been(recordings, tmp_path):
+    viewed = prepare(recordings[1:], tmp_path, web=False)
+    assert viewed.file.suffix == ".rrd"
+    assert vlmm_log.diff(recordings[1], viewed.file).same
+    looks = {e.entity for e in vlmm_log.diff(recordings[0], viewed.file).entities}
+    assert looks <= {"world/camera/image/instances"}  # the nameless have names of their own here: their numbers
+
+
+def test_two_recordings_are_merged(recordings, tmp_path):
+    viewed = prepare(recordings, tmp_path, web=False)
+    assert viewed.file.stat().st_size > recordings[0].stat().st_size
+    assert viewed.file.parent == tmp_path
+
+
+@pytest.mark.parametrize(("share", "incomplete"), [(0.9999, False), (0.5, True)])  # without the footer; in the middle
+def test_of_a_torn_recording_what_is_whole_is_shown_and_the_rest_told(recordings, tmp_path, share, incomplete):
+    torn = tmp_path / "torn.rrd.partial"
+    data = recordings[0].read_bytes()
+    torn.write_bytes(data[: int(share * len(data))])
+    viewed = prepare([torn], tmp_path, web=False)
+    assert viewed.file.name == "torn.rrd"
+    assert any("incomplete" in line for line in viewed.told) == incomplete
+    assert any("did not finish" in line for line in viewed.told)
+    verify = [sys.executable, "-m", "rerun_cli", "rrd", "print", viewed.file]
+    assert subprocess.run(verify, capture_output=True, check=False).returncode == 0
+
+
+def test_what_is_no_recording_is_refused(tmp_path):
+    (tmp_path / "map.json").write_text("{}")
+    for name in ("map.json", "absent.rrd"):
+        with pytest.raises(InputError, match="not a recording"):
+            prepare([tmp_path / name], tmp_path, web=False)
+
+
+def test_the_page_is_served_on_loopback(recordings):
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        port = s.getsockname()[1]
+    command = [sys.executable, "-c", "from vlmm_log.cli import main; main()"]
+    serving = subprocess.Popen(
+        [*command, "view", recordings[0], "--web", "--port", str(port)], stderr=subprocess.PIPE, start_new_session=True
+    )
+    try:
+        page = b""
+        deadline = time.monotonic() + 60
+        while not page and time.monotonic() < deadline:
+            try:
+                with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=5) as answer:
+                    page = answer.read()
+            except OSError:
+                time.sleep(0.5)
+        assert b"rerun" in page.lower()
+        sockets = Path("/proc/net/tcp")
+        if sockets.exists():
+            rows = [line.split() for line in sockets.read_text().splitlines()[1:]]
+            own = [row[1] for row in rows if row[3] == "0A" and int(row[1].split(":")[1], 16) in (port, port + 1)]
+            assert own and all(address.startswith("0100007F") for address in own), own
+    finally:
+        os.killpg(serving.pid, signal.SIGTERM)
+        serving.wait(timeout=20)
