@@ -42,6 +42,7 @@ bench: $(VENV)/.ready  ## speed as ratios, from one run
 	$(PY) -m benchmarks.objects
 	$(PY) -m benchmarks.query
 	$(PY) -m benchmarks.segmenters
+	$(PY) -m benchmarks.diff
 
 router: $(VENV)/.ready  ## routing accuracy of both query parsers
 	$(PY) -m benchmarks.router

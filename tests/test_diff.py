@@ -452,7 +452,7 @@ def test_the_command_its_outputs_and_exit_codes(recording, tmp_path):
     b = rewritten(recording, source / "b&lt;.rrd", lambda e, x: edit(e, PLANTED["one pixel of d_M"][0](e, x)))
     done = cli("diff", a, a, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
-    assert "the same of 7 pairs" in done.stdout
+    assert "the same; both hold 7 pairs" in done.stdout
     done = cli("diff", a, b, "--json", "d.json", "--html", "d.html", "--rrd", "d.rrd", cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     assert "first divergence: frame 3, stage motion" in done.stdout
@@ -491,3 +491,12 @@ def test_the_merged_recording_holds_both_and_their_difference(recording, tmp_pat
         for side in ("A", "B"):
             assert rows[f"/{side}/world/map/elements"] == 7
             assert rows[f"/{side}/world/camera"] == 7
+
+
+def test_the_example_fails_where_d_m_moved(room, tmp_path):
+    example = Path(__file__).parents[1] / "examples/diff_two_runs.py"
+    for sets, code in (([], 0), (["noise.scale=2"], 1)):
+        command = [sys.executable, example, room, *sets, "--atol", "0.2"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == code, done.stderr
+    assert "noise model (1)" in done.stdout

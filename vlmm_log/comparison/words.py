@@ -33,7 +33,7 @@ def summary(d: Difference) -> list[str]:
 
 def _lines(d: Difference) -> Iterator[str]:
     yield from d.missing
-    pairs = f" of {d.frames[2]} pairs that both hold ({d.frames[0]} in A, {d.frames[1]} in B)" if any(d.frames) else ""
+    pairs = f"; both hold {d.frames[2]} pairs ({d.frames[0]} in A, {d.frames[1]} in B)" if any(d.frames) else ""
     if d.same:
         yield f"the same{pairs}"
         return

@@ -1,4 +1,4 @@
-"""Entries that were read back, as a recording to look at: with the shapes and names that recordings do not give back."""
+"""Entries read back, as a recording to look at: with the shapes and names that recordings do not give back."""
 
 from __future__ import annotations
 
