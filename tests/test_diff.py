@@ -19,6 +19,7 @@ from planted import cell, later, rewritten, without
 from vlmm_log.comparison.report import report
 from vlmm_log.comparison.stages import STAGES
 from vlmm_log.comparison.tolerance import Choice, Tolerance
+from vlmm_log.comparison.words import summary
 from vlmm_log.entries import Table
 from vlmm_log.recording import open_recording
 from vlmm_log.types import InputError
@@ -436,6 +437,8 @@ def test_what_a_killed_run_left_is_compared_and_what_is_missing_told(room, recor
         assert [e for e in done.entities if e.frames or e.only_b] == [], "what is there is the same"
         pose = next(e for e in done.entities if e.entity == "world/camera")
         assert [p.index for p in pose.only_a] == list(range(done.frames[1], 7))
+        assert "what both hold is the same" in summary(done)
+        assert done.elements.changes == ()
 
 
 def cli(*arguments, cwd):

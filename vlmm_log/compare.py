@@ -110,18 +110,27 @@ class Comparison:
     tolerance: Tolerance
     entities: dict[str, _Entity] = field(default_factory=dict)
     stages: dict[str, list[Place]] = field(default_factory=dict)  # whose digests differ
-    last: dict[str, list[Table | None]] = field(default_factory=dict)  # tables of elements and answers: of A, of B
+    last: dict[str, tuple[Table | None, Table | None]] = field(default_factory=dict)  # elements and answers, of A, of B
+    both: set[str] = field(default_factory=set)  # of them, those that both have at one frame
 
     def take(self, match: Match) -> None:
         """One match."""
         if match.entity == ELEMENTS or match.entity.startswith(QUERIES):
-            tables = self.last.setdefault(match.entity, [None, None])
-            for side, value in enumerate((match.a, match.b)):
-                tables[side] = value if isinstance(value, Table) else tables[side]
+            self._remember(match)
         if match.entity == DIGESTS and isinstance(match.a, Table) and isinstance(match.b, Table):
             self._digests(match.at, match.a, match.b)
             return
         self.entities.setdefault(match.entity, _Entity()).take(match, *self.tolerance.of(match.entity))
+
+    def _remember(self, match: Match) -> None:
+        """The last tables that both have at one frame; before there are any, the last of each."""
+        a, b = (value if isinstance(value, Table) else None for value in (match.a, match.b))
+        known = self.last.get(match.entity, (None, None))
+        if a is not None and b is not None:
+            self.last[match.entity] = a, b
+            self.both.add(match.entity)
+        elif match.entity not in self.both:
+            self.last[match.entity] = known[0] if a is None else a, known[1] if b is None else b
 
     def _digests(self, at: Place, a: Table, b: Table) -> None:
         if not self.tolerance.exact:  # what is within the tolerance has other digests, too
@@ -238,7 +247,7 @@ def _difference(
     a, b = recordings
     entities, stages = comparison.entity_differences(), comparison.stage_differences()
     last = comparison.last
-    elements = last.get(ELEMENTS, [None, None])
+    elements = last.get(ELEMENTS, (None, None))
     queries = (query_difference(name.removeprefix(QUERIES), *t) for name, t in last.items() if name.startswith(QUERIES))
     return Difference(
         str(paths[0]),

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 NAN = float("nan")
+NEVER = -(2**63)  # ns, before all times
 Side = Literal["A", "B"]
 
 
@@ -27,8 +28,8 @@ class Place:
 
     @property
     def order(self) -> tuple[int, int]:
-        """What places are sorted by; the whole recording comes first."""
-        return (-1 if self.index is None else self.index, self.stamp_ns or 0)
+        """What places are sorted by: time; the whole recording comes first."""
+        return (NEVER if self.stamp_ns is None else self.stamp_ns, -1 if self.index is None else self.index)
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ class ElementChange:
 
 @dataclass(frozen=True)
 class ElementsDifference:
-    """The maps at the end of both runs."""
+    """The maps at the end of both runs, or at the last frame that both hold."""
 
     matched: int
     changes: tuple[ElementChange, ...] = ()

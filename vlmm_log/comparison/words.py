@@ -45,6 +45,8 @@ def _lines(d: Difference) -> Iterator[str]:
         yield f"settings: {len(d.settings)} differ: {told}{profile}"
     for change in d.inputs:
         yield f"input: {change.name} {_cut(change.a)} -> {_cut(change.b)}"
+    if d.missing and not (d.stages or any(e.frames for e in d.entities)):
+        yield "what both hold is the same"
     if d.first is not None:
         yield f"first divergence: {first_words(d.first)}"
     yield from _element_lines(d)
