@@ -18,7 +18,7 @@ demo: $(VENV)/.ready  ## render a small sequence, process it, say how to look at
 	@echo "look at it: $(VENV)/bin/rerun demo/room.rrd"
 
 test: $(VENV)/.ready  ## all tests
-	$(PY) -m pytest -q
+	$(PY) -m pytest -q -n auto --dist loadscope
 
 house:  ## the import tree as the installed package has it, of links, for tools that read files
 	rm -rf .house && mkdir -p .house/vlmm_log

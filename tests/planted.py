@@ -30,13 +30,12 @@ def cell(entity, frame, component, change: Callable[[Any], Any]):
         if name != entity or component not in batch.schema.names:
             return batch
         k = batch.schema.names.index(component)
-        values = batch.column(k).to_pylist()
-        rows = [r for r, f in enumerate(frames(batch)) if (frame is None or f == frame) and values[r] is not None]
-        if not rows:
-            return batch
+        column, field = batch.column(k), batch.schema.field(k)
+        rows = [r for r, f in enumerate(frames(batch)) if (frame is None or f == frame) and column[r].is_valid]
         for r in rows:
-            values[r] = change(values[r])
-        return batch.set_column(k, batch.schema.field(k), pa.array(values, batch.schema.field(k).type))
+            changed = pa.array([change(column[r].as_py())], field.type)
+            column = pa.concat_arrays([column.slice(0, r), changed, column.slice(r + 1)])
+        return batch.set_column(k, field, column) if rows else batch
 
     return edit
 

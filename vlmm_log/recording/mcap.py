@@ -147,8 +147,6 @@ def _chunks(file: BinaryIO, lost: list[str]) -> Iterator[memoryview]:
                 _tell(lost, f"chunk at byte {start}: {e}")
                 continue
             yield data
-        elif opcode == 0x0F:
-            return
 
 
 def _tell(lost: list[str], text: str) -> None:

@@ -44,6 +44,7 @@ PACKAGE = "foxglove."
 NUMBER, TEXT, CLASSES = "vlmm_log.Number", "vlmm_log.Text", "vlmm_log.LabelNames"
 POINT = np.dtype([("xyz", "<f4", 3), ("bgra", "u1", 4)])
 KINDS = {"f": "number", "i": "integer", "u": "integer", "b": "boolean"}  # numpy's kinds of numbers -> JSON Schema's
+INTEGER, STRING = {"type": "integer"}, {"type": "string"}
 
 
 class FoxgloveValues:
@@ -54,8 +55,8 @@ class FoxgloveValues:
     def __init__(self) -> None:
         self._schemas: dict[str, Mapping[str, Any]] = {  # of JSON
             NUMBER: _object({"value": {"type": "number"}}),
-            TEXT: _object({"data": {"type": "string"}}),
-            CLASSES: _object({"classes": _array(_object({"id": {"type": "integer"}, "name": {"type": "string"}}))}),
+            TEXT: _object({"data": STRING}),
+            CLASSES: _object({"classes": _array(_object({"id": INTEGER, "name": STRING, "color": _array(INTEGER)}))}),
         }
 
     def define(self, type_name: str) -> Definition:
