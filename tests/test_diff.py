@@ -1,6 +1,7 @@
 """Two runs compared: planted changes are found where they are, equal runs are equal, the rest is refused."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -121,6 +122,9 @@ PLANTED = {  # name -> the edit, the entity that is named, the frame that is nam
     ),
     "pose by 1 mm": (cell("world/camera", 4, "Transform3D:translation", first(lambda x: x + 1e-3)), "world/camera", 4),
     "rotation": (cell("world/camera", 4, "Transform3D:quaternion", first(lambda x: x + 1e-4)), "world/camera", 4),
+    "pose to NaN": (cell("world/camera", 4, "Transform3D:translation", first(lambda _: np.nan)), "world/camera", 4),
+    "score to infinity": (cell("world/map/observations", 3, "o", first(lambda _: np.inf)), "map/observations", 3),
+    "lost pose": (without(lambda e, f: (e, f) == ("world/camera", 3)), "world/camera", 3),
     "intrinsics": (cell(IMAGE, 0, "Pinhole:image_from_camera", first(lambda x: x + 0.5)), IMAGE, 0),
     "depth pixel": (cell(f"{IMAGE}/depth", 6, "EncodedDepthImage:blob", pixel), "image/depth", 6),
     "colour pixel": (cell(f"{IMAGE}/rgb", 6, "EncodedImage:blob", pixel), "image/rgb", 6),
@@ -278,10 +282,34 @@ def test_tolerances_by_entity(recording, tmp_path):
     assert names(atol=0.09) == {f"{IMAGE}/residual/d_m", "world/camera"}
     assert names(atols={"world/camera/image/residual/*": 10}) == {"world/camera"}
     assert names(atol=10) == set()
+    assert vlmm_log.diff(recording, other, tolerance=Tolerance(atols={"log": 1.0})).stages == ()
     assert names(rtol=100.0, rtols={"world/camera": 0.0, IMAGE: 100.0}) == {"world/camera"}
     only = vlmm_log.diff(recording, other, choice=Choice(only=("world/camera",), ignore=(f"{IMAGE}/*",)))
     assert {e.entity for e in only.entities} == {"world/camera"}
     assert vlmm_log.diff(recording, other, choice=Choice(ignore=("world/camera",))).same  # and all below it
+
+
+def test_digests_count_unless_a_tolerance_or_what_is_ignored_concerns_their_stage(recording, tmp_path):
+    def edit(value):
+        return [x ^ 1 for x in value]
+
+    other = rewritten(recording, tmp_path / "other.rrd", cell("digests", 4, "xxh3", edit))
+
+    def stages(tolerance=Tolerance(), **choice):  # noqa: B008
+        return {s.stage for s in vlmm_log.diff(recording, other, tolerance=tolerance, choice=Choice(**choice)).stages}
+
+    assert stages() == set(STAGES)
+    assert stages(ignore=("log",)) == set(STAGES)
+    assert stages(ignore=("world/map/query", f"{IMAGE}/query")) == set(STAGES) - {"query"}
+    assert stages(Tolerance(atols={f"{IMAGE}/residual": 0.1})) == set(STAGES) - {"motion"}
+    assert stages(Tolerance(0.1)) == stages(ignore=("digests",)) == stages(only=("world",)) == set()
+
+
+@pytest.mark.parametrize("name", ["nosuch", "World/Map", "world/camera/image/residual/dm"])
+def test_names_that_fit_nothing_are_refused(recording, name):
+    for options in ({"choice": Choice(only=(name,))}, {"tolerance": Tolerance(atols={name: 1.0})}):
+        with pytest.raises(InputError, match="no entity is called so; there is "):
+            vlmm_log.diff(recording, recording, **options)
 
 
 @pytest.mark.parametrize("text", ["x", "=1", "a=", "-1", "nan", "world/camera=inf"])
@@ -401,6 +429,12 @@ def test_what_is_unrelated_is_refused(recording, tmp_path):
             vlmm_log.diff(recording, tmp_path / name)
     with pytest.raises(InputError, match="is the input"):
         vlmm_log.diff(recording, recording, rrd=recording, force=True)
+    for outputs, told in (({"rrd": "x.mcap"}, "x.rrd"), ({"html": "x.rrd"}, "x.html"), ({"json": ""}, "names no file")):
+        with pytest.raises(InputError, match=told):
+            vlmm_log.diff(recording, recording, **outputs)
+    os.mkfifo(tmp_path / "pipe.html")
+    with pytest.raises(InputError, match="a device or a pipe"):
+        vlmm_log.diff(recording, recording, html=tmp_path / "pipe.html", force=True)
 
 
 def test_a_recording_of_something_else_is_refused(recording, tmp_path):
@@ -432,11 +466,12 @@ def test_what_a_killed_run_left_is_compared_and_what_is_missing_told(room, recor
         done = vlmm_log.diff(recording, partial)
         assert any("B is incomplete" in line for line in done.missing), done.missing
         assert not done.same
-        assert 1 <= done.frames[1] <= 5
+        assert 1 <= done.frames[1] <= 6
         assert done.frames[2] == done.frames[1]
         assert [e for e in done.entities if e.frames or e.only_b] == [], "what is there is the same"
         pose = next(e for e in done.entities if e.entity == "world/camera")
-        assert [p.index for p in pose.only_a] == list(range(done.frames[1], 7))
+        lost = [p.index for p in pose.only_a]
+        assert lost == list(range(lost[0], 7)) and lost[0] >= 1, "the end is missing, and nothing else"
         assert "what both hold is the same" in summary(done)
         assert done.elements.changes == ()
 

@@ -1,6 +1,5 @@
 """``view``: what it would start, what it says is missing, and the page that it serves."""
 
-import os
 import signal
 import socket
 import subprocess
@@ -71,9 +70,7 @@ def test_the_page_is_served_on_loopback(recordings):
         s.bind(("127.0.0.1", 0))
         port = s.getsockname()[1]
     command = [sys.executable, "-c", "from vlmm_log.cli import main; main()"]
-    serving = subprocess.Popen(
-        [*command, "view", recordings[0], "--web", "--port", str(port)], stderr=subprocess.PIPE, start_new_session=True
-    )
+    serving = subprocess.Popen([*command, "view", recordings[0], "--web", "--port", str(port)], stderr=subprocess.PIPE)
     try:
         page = b""
         deadline = time.monotonic() + 60
@@ -90,5 +87,7 @@ def test_the_page_is_served_on_loopback(recordings):
             own = [row[1] for row in rows if row[3] == "0A" and int(row[1].split(":")[1], 16) in (port, port + 1)]
             assert own and all(address.startswith("0100007F") for address in own), own
     finally:
-        os.killpg(serving.pid, signal.SIGTERM)
-        serving.wait(timeout=20)
+        serving.send_signal(signal.SIGTERM)
+        assert serving.wait(timeout=20) == 0
+    with socket.socket() as s:
+        assert s.connect_ex(("127.0.0.1", port)), "the viewer ended, too"

@@ -79,6 +79,9 @@ def process(
     if map_target is not None:
         _check_map_name(map_target)
     claim([path for path in (target, mcap_target, map_target) if path is not None], force=force, inputs=inputs)
+    for path, suffix in ((target, ".rrd"), (mcap_target, ".mcap")):
+        if path is not None and path.suffix != suffix:  # what is called otherwise is read otherwise
+            raise InputError(f"{path}: a recording of this kind is called NAME{suffix}; name it so")
     models, of_models = load_models(s)
     run = Run(log.name, reader, s.to_toml(), _versions() | of_models, log.has_poses, log.world_up, tuple(log.notes))
     summary = Summary(noise_scale=s.noise.scale)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from vlmm_log.ask import load_map
@@ -13,6 +13,7 @@ from vlmm_log.comparison.alignment import Match, matches
 from vlmm_log.comparison.difference import (
     Difference,
     Divergence,
+    ElementsDifference,
     EntityDifference,
     Figures,
     FrameDifference,
@@ -21,10 +22,10 @@ from vlmm_log.comparison.difference import (
 )
 from vlmm_log.comparison.maps import elements_difference, query_difference
 from vlmm_log.comparison.measures import figures
-from vlmm_log.comparison.stages import rank, stage_of
+from vlmm_log.comparison.stages import STAGES, rank, stage_of
 from vlmm_log.comparison.tolerance import Choice, Tolerance
-from vlmm_log.comparison.words import markdown
-from vlmm_log.entries import Look, Pose, Table
+from vlmm_log.comparison.words import markdown, readable
+from vlmm_log.entries import Look, Table
 from vlmm_log.outputs import claim, replacing
 from vlmm_log.protocols import Progress
 from vlmm_log.recording import Recording, is_recording, open_recording
@@ -33,6 +34,7 @@ from vlmm_log.types import InputError
 
 CAMERA, DIGESTS, ELEMENTS, QUERIES = "world/camera", "digests", "world/map/elements", "world/map/query/"
 WORDS = "run"  # settings, versions and notes to read: compared as what they are
+EVERY_PAIR = (CAMERA, DIGESTS, "stats/inlier_share", "stats/valid_share")
 EVERYTHING = Choice()
 EXACT = Tolerance()
 
@@ -59,6 +61,7 @@ def diff(
     paths = Path(a), Path(b)
     outputs = [None if name is None else Path(name) for name in (json, html, rrd)]
     claim([path for path in outputs if path is not None], force=force, inputs=paths)
+    _check_outputs(*outputs[1:])
     for path in paths:
         if path.is_dir():
             raise InputError(f"{path}: is a folder; give a recording (.rrd, .mcap) or a map (.json, .parquet)")
@@ -67,7 +70,7 @@ def diff(
     else:
         if rrd is not None:
             raise InputError(f"{rrd}: a map holds nothing in time to show; compare recordings")
-        done, shared = _of_maps(paths, tolerance), None
+        done, shared = _of_maps(paths, tolerance, choice), None
     if outputs[0] is not None:
         from vlmm_log.comparison.report import write_json
 
@@ -81,7 +84,9 @@ def diff(
     return done
 
 
-def _of_maps(paths: tuple[Path, Path], tolerance: Tolerance) -> Difference:
+def _of_maps(paths: tuple[Path, Path], tolerance: Tolerance, choice: Choice) -> Difference:
+    choice.check([ELEMENTS])
+    tolerance.check([ELEMENTS])
     a, b = (load_map(path) for path in paths)
     tables = [Table(element_columns(saved.world.columns)) for saved in (a, b)]
     spans = [(s.world.columns.first_ns, s.world.columns.last_ns) for s in (a, b)]
@@ -90,12 +95,14 @@ def _of_maps(paths: tuple[Path, Path], tolerance: Tolerance) -> Difference:
         if stop_a < start_b or stop_b < start_a:
             raise _unrelated(paths, "their elements were seen at different times")
     return Difference(
-        str(paths[0]),
-        str(paths[1]),
+        readable(paths[0]),
+        readable(paths[1]),
         settings=told.settings_changes(a.run.settings, b.run.settings),
         inputs=told.input_changes((a.run, a.end), (b.run, b.end)),
         about=told.about_changes(a.run, b.run),
-        elements=elements_difference(tables[0], tables[1], *tolerance.of(ELEMENTS)),
+        elements=elements_difference(tables[0], tables[1], *tolerance.of(ELEMENTS))
+        if choice.takes(ELEMENTS)
+        else ElementsDifference(0),
     )
 
 
@@ -111,14 +118,16 @@ class Comparison:
     entities: dict[str, _Entity] = field(default_factory=dict)
     stages: dict[str, list[Place]] = field(default_factory=dict)  # whose digests differ
     last: dict[str, tuple[Table | None, Table | None]] = field(default_factory=dict)  # elements and answers, of A, of B
+    stages_compared: frozenset[str] = frozenset(STAGES)  # by their digests
     both: set[str] = field(default_factory=set)  # of them, those that both have at one frame
 
     def take(self, match: Match) -> None:
         """One match."""
         if match.entity == ELEMENTS or match.entity.startswith(QUERIES):
             self._remember(match)
-        if match.entity == DIGESTS and isinstance(match.a, Table) and isinstance(match.b, Table):
-            self._digests(match.at, match.a, match.b)
+        if match.entity == DIGESTS:
+            if isinstance(match.a, Table) and isinstance(match.b, Table):
+                self._digests(match.at, match.a, match.b)
             return
         self.entities.setdefault(match.entity, _Entity()).take(match, *self.tolerance.of(match.entity))
 
@@ -133,10 +142,8 @@ class Comparison:
             self.last[match.entity] = known[0] if a is None else a, known[1] if b is None else b
 
     def _digests(self, at: Place, a: Table, b: Table) -> None:
-        if not self.tolerance.exact:  # what is within the tolerance has other digests, too
-            return
         x, y = (dict(zip(t.columns["stage"], t.columns["xxh3"], strict=True)) for t in (a, b))
-        for stage in x.keys() & y.keys():
+        for stage in x.keys() & y.keys() & self.stages_compared:
             if x[stage] != y[stage]:
                 self.stages.setdefault(str(stage), []).append(at)
 
@@ -174,7 +181,9 @@ class _Entity:
         self.compared += 1
         found = figures(match.entity, match.a, match.b, atol, rtol)
         if match.late_ns:
-            found = Figures(1, 1, largest=abs(match.late_ns) / 1e9, unit="s", told=f"time: {match.late_ns:+d} ns")
+            late = f"time: {match.late_ns:+d} ns"
+            told = f"{late}; {found.told}" if found.told else late
+            found = replace(found, told=told) if found.differs else Figures(1, 1, told=late)
         if found.differs:
             self.frames.append(FrameDifference(match.at, found))
 
@@ -192,6 +201,12 @@ class _Entity:
         return EntityDifference(name, stage_of(name), self.compared, only_a, only_b, frames)
 
 
+def _check_outputs(html: Path | None, rrd: Path | None) -> None:
+    for path, suffix in ((html, ".html"), (rrd, ".rrd")):
+        if path is not None and path.suffix != suffix:
+            raise InputError(f"{path}: is to be called {path.with_suffix(suffix).name}: it will be such a file")
+
+
 def _of_recordings(
     paths: tuple[Path, Path], tolerance: Tolerance, choice: Choice, rrd: Path | None, progress: Progress | None
 ) -> tuple[Difference, tuple[Recording, Recording]]:
@@ -201,11 +216,11 @@ def _of_recordings(
     if all(stamps) and not any(stamps[0][index] == stamps[1][index] for index in both):
         raise _unrelated(paths, "they share no frame")
     comparison = Comparison(tolerance)
-    entities = {entity for entity in a.entities | b.entities if choice.takes(entity)} - {WORDS}
-    if tolerance.exact and not choice.only:
-        entities.add(DIGESTS)
-    else:
-        entities.discard(DIGESTS)
+    known = (a.entities | b.entities) - {WORDS}
+    choice.check(known)
+    tolerance.check(known)
+    entities = {entity for entity in known if choice.takes(entity)}
+    comparison.stages_compared = _exact_stages(known, choice, tolerance)
     stream = _told(matches((a, b), stamps, entities), len(entities), progress)
     if rrd is None:
         for match in stream:
@@ -222,6 +237,14 @@ def _of_recordings(
     return done, (a, b)
 
 
+def _exact_stages(known: frozenset[str], choice: Choice, tolerance: Tolerance) -> frozenset[str]:
+    """The stages whose digests count: all of their entities are compared, and to the bit."""
+    if choice.only or not choice.takes(DIGESTS) or tolerance.of(DIGESTS) != (0, 0):
+        return frozenset()
+    loose = {stage_of(e) for e in known if not choice.takes(e) or tolerance.of(e) != (0, 0)}
+    return frozenset(STAGES) - loose
+
+
 def _told(stream: Iterator[Match], expected: int, progress: Progress | None) -> Iterator[Match]:
     """The same stream; entities are told as they come by."""
     seen: set[str] = set()
@@ -233,9 +256,9 @@ def _told(stream: Iterator[Match], expected: int, progress: Progress | None) -> 
 
 
 def _stamps(recording: Recording) -> dict[int, int]:
-    """Frame index -> time of the pairs that a recording holds."""
-    poses = (e for e in recording.entries([CAMERA]) if isinstance(e.value, Pose))
-    return {e.index: e.stamp_ns for e in poses if e.index is not None and e.stamp_ns is not None}
+    """Frame index -> time of the pairs that a recording holds, by what is small and of every pair."""
+    found = ((e.index, e.stamp_ns) for e in recording.entries(EVERY_PAIR))
+    return {index: stamp_ns for index, stamp_ns in found if index is not None and stamp_ns is not None}
 
 
 def _difference(
@@ -248,10 +271,11 @@ def _difference(
     entities, stages = comparison.entity_differences(), comparison.stage_differences()
     last = comparison.last
     elements = last.get(ELEMENTS, (None, None))
-    queries = (query_difference(name.removeprefix(QUERIES), *t) for name, t in last.items() if name.startswith(QUERIES))
+    asked = {name: t for name, t in last.items() if name.startswith(QUERIES) and None not in t}  # in both
+    queries = (query_difference(name.removeprefix(QUERIES), *t) for name, t in asked.items())
     return Difference(
-        str(paths[0]),
-        str(paths[1]),
+        readable(paths[0]),
+        readable(paths[1]),
         settings=told.settings_changes(a.run.settings, b.run.settings),
         inputs=told.input_changes((a.run, a.end), (b.run, b.end)),
         about=told.about_changes(a.run, b.run),

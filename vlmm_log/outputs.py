@@ -46,6 +46,8 @@ def claim(paths: Iterable[Path], *, force: bool, inputs: Iterable[Path] = ()) ->
     read = {path.resolve() for path in inputs}
     taken: set[Path] = set()
     for path in paths:
+        if not path.name:
+            raise InputError(f"{str(path)!r}: names no file")
         partial = path.with_name(path.name + ".partial")
         try:
             for name in (path, partial):
@@ -66,6 +68,8 @@ def claim(paths: Iterable[Path], *, force: bool, inputs: Iterable[Path] = ()) ->
 def _check_free(path: Path, force: bool) -> None:
     if "\0" in str(path):
         raise InputError(f"{path!s}: is no name of a file")
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise InputError(f"{path}: is no file, a device or a pipe; name a file")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file, for example {path / 'out'}")
     if path.exists() and not force:

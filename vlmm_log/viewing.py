@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -94,7 +95,22 @@ def view(
             tell(line)
         if web:
             tell(f"open http://127.0.0.1:{port}?url=rerun%2Bhttp://127.0.0.1:{_beside(port)}/proxy")
-        try:
-            return subprocess.run(viewed.command, check=False).returncode
-        except KeyboardInterrupt:
-            return 0
+        return _shown(viewed.command)
+
+
+def _shown(command: Sequence[str]) -> int:
+    """Run the viewer until it is closed, or this program is asked to end; its exit code."""
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    viewer = subprocess.Popen(command)
+    try:
+        return viewer.wait()
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        viewer.terminate()
+        viewer.wait()
+        signal.signal(signal.SIGTERM, before)

@@ -27,7 +27,7 @@ class Match:
 def matches(
     recordings: tuple[Recording, Recording], frames: tuple[Collection[int], Collection[int]], entities: Collection[str]
 ) -> Iterator[Match]:
-    """All matches of some entities. ``frames`` are the indices of the pairs that each recording holds.
+    """All matches of some entities. ``frames`` are the indices of the pairs in each recording.
 
     Values are matched by frame index, or by time where they are of no frame, in the order of the file where an
     entity has several there. What only decides how a viewer draws is matched only where both recordings hold it.
@@ -94,10 +94,11 @@ def _partner(waiting: tuple[dict[Key, deque[Entry]], ...], side: int, entry: Ent
 def _alone(entry: Entry, own: Collection[int], others: Collection[int], other: Recording) -> bool:
     """Whether the other recording cannot hold a partner: then the entry need not wait for one.
 
-    Of a run that was cut off, the frames are not all known: it may hold images whose pose was lost.
+    Of a run that was cut off, or a damaged file, the frames are not all known.
     """
     missing = entry.index is not None and entry.index in own and entry.index not in others
-    return (missing and other.end is not None) or entry.entity not in other.entities
+    whole = other.end is not None and not other.losses
+    return (missing and whole) or entry.entity not in other.entities
 
 
 def _match(a: Entry, b: Entry) -> Match:

@@ -136,6 +136,7 @@ class ElementChange:
     label: str
     kinds: tuple[str, ...]  # of "added", "removed", "moved", "relabelled", "flipped", "changed"
     told: str  # what from and to
+    classes: tuple[str, ...] = ()  # of a flipped one: in A, in B
 
 
 @dataclass(frozen=True)

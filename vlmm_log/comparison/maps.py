@@ -95,7 +95,8 @@ def _change(a: Columns, b: Columns, i: int, j: int, atol: float, rtol: float) ->
     ids = int(a["element_id"][i]), int(b["element_id"][j])
     if not kinds and ids[0] == ids[1]:
         return None
-    return ElementChange(*ids, str(a["label"][i]), tuple(kinds or ["renumbered"]), ", ".join(told))
+    classes = (str(a["motion_class"][i]), str(b["motion_class"][j])) if "flipped" in kinds else ()
+    return ElementChange(*ids, str(a["label"][i]), tuple(kinds or ["renumbered"]), ", ".join(told), classes)
 
 
 def _figure(columns: Columns, name: str, row: int) -> NDArray[Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -76,11 +75,12 @@ def _raster(a: Raster, b: Raster, atol: float, rtol: float, unit: str) -> Figure
     if a.values.shape != b.values.shape or a.channels != b.channels:
         return _shapes(a.values, b.values)
     x, y = a.values.astype(np.float32), b.values.astype(np.float32)
-    if a.channels in VECTORS:
-        missing = [np.asarray(np.isnan(v).any(axis=0)) for v in (x, y)]
-        distance = np.sqrt(np.sum((x - y) ** 2, axis=0))
-        return _of_distances(distance, np.sqrt(np.sum(y * y, axis=0)), missing, atol, rtol, unit)
-    return _of_numbers(x, y, atol, rtol, unit)
+    if a.channels not in VECTORS:
+        return _of_numbers(x, y, atol, rtol, unit)
+    apart = np.sqrt(np.sum(_apart(x, y) ** 2, axis=0))
+    nan_x, nan_y = np.isnan(x), np.isnan(y)
+    one_side, either = (nan_x != nan_y).any(axis=0), (nan_x | nan_y).any(axis=0)
+    return _of_distances(apart, np.sqrt(np.sum(y * y, axis=0)), one_side, either, atol, rtol, unit)
 
 
 def same_bits(a: NDArray[Any], b: NDArray[Any]) -> bool:
@@ -101,24 +101,32 @@ def _size(a: NDArray[Any]) -> str:
 
 
 def _of_numbers(a: NDArray[Any], b: NDArray[Any], atol: float, rtol: float, unit: str) -> Figures:
-    with np.errstate(invalid="ignore"):  # infinity minus itself
-        distance = np.where(a == b, 0.0, np.abs(a - b))
-    return _of_distances(distance, np.abs(b), [np.isnan(a), np.isnan(b)], atol, rtol, unit)
+    nan_a, nan_b = np.asarray(np.isnan(a)), np.asarray(np.isnan(b))
+    return _of_distances(
+        _apart(a, b), np.abs(b), np.asarray(nan_a != nan_b), np.asarray(nan_a | nan_b), atol, rtol, unit
+    )
+
+
+def _apart(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+    """|a - b|; of one infinity from itself, 0."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(a == b, 0.0, np.abs(a - b)))
 
 
 def _of_distances(
     distance: NDArray[Any],
     size: NDArray[Any],
-    missing: Sequence[NDArray[np.bool_]],  # in A, in B
+    one_side: NDArray[np.bool_],
+    either: NDArray[np.bool_],
     atol: float,
     rtol: float,
     unit: str,
 ) -> Figures:
-    """Figures of distances; ``size`` is B's, which rtol is relative to."""
-    both = ~(missing[0] | missing[1])
-    unmatched = int(np.count_nonzero(missing[0] != missing[1]))
+    """Figures of distances. ``size`` is B's, which rtol is relative to; NaN may stand on one side, or on either."""
+    unmatched = int(np.count_nonzero(one_side))
+    both = ~either
     apart = distance[both]
-    over = int(np.count_nonzero(apart > (atol + rtol * size[both] if rtol else atol)))
+    over = int(np.count_nonzero((apart > (atol + rtol * size[both] if rtol else atol)) | np.isinf(apart)))
     if not over and not unmatched:
         return SAME
     told = f"{unmatched} NaN on one side" if unmatched else ""
@@ -152,7 +160,7 @@ def _picture(a: Picture, b: Picture, atol: float, rtol: float) -> Figures:
         return _shapes(x, y)
     apart = np.abs(x.astype(np.float32) - y.astype(np.float32)).max(axis=-1)
     never = np.zeros(apart.shape, bool)
-    return _of_distances(apart, y.max(axis=-1).astype(np.float32), [never, never], atol, rtol, "grey levels")
+    return _of_distances(apart, y.max(axis=-1).astype(np.float32), never, never, atol, rtol, "grey levels")
 
 
 def _labels(a: NDArray[Any], b: NDArray[Any]) -> Figures:
@@ -174,12 +182,14 @@ def _labels(a: NDArray[Any], b: NDArray[Any]) -> Figures:
 
 
 def _pose(a: Pose, b: Pose, atol: float, rtol: float) -> Figures:
+    if same_bits(a.translation, b.translation) and same_bits(a.quaternion, b.quaternion):
+        return SAME
     cm = 100 * float(np.linalg.norm(a.translation.astype(float) - b.translation.astype(float)))
     p, q = a.quaternion.astype(float), b.quaternion.astype(float)
     q = q if p @ q >= 0 else -q
     angle = 2 * np.degrees(2 * np.arcsin(min(float(np.linalg.norm(p - q)) / 2, 1.0)))  # exact also for tiny angles
-    over = cm > atol + rtol * 100 * float(np.linalg.norm(b.translation)) or angle > atol + rtol * 180
-    if not over:
+    near = cm <= atol + rtol * 100 * float(np.linalg.norm(b.translation)) and angle <= atol + rtol * 180
+    if near:  # never of a pose that is not a number
         return SAME
     return Figures(1, 1, 0, cm, cm, cm, "cm", f"{angle:.4f} degrees")
 

@@ -42,9 +42,11 @@ def table_figures(a: Mapping[str, Column], b: Mapping[str, Column], atol: float,
 def _keys(columns: Mapping[str, Column]) -> dict[Any, int]:
     """Key of each row -> its number; of a table without keys, the number itself."""
     key = next((columns[name] for name in KEYS if name in columns), None)
-    if key is None:
+    keys = () if key is None else key if isinstance(key, tuple) else key.tolist()
+    found = {value: k for k, value in enumerate(keys)}
+    if key is None or len(found) < len(keys):  # without keys, or not each once
         return {k: k for k in range(len(next(iter(columns.values()), ())))}
-    return {value: k for k, value in enumerate(key if isinstance(key, tuple) else key.tolist())}
+    return found
 
 
 def _column(
@@ -63,7 +65,7 @@ def _column(
     wide = x.dtype.kind in "iu" and y.dtype.kind in "iu"  # nanoseconds and digests are no floats
     apart = _whole(x, y) if wide else _distance(x.astype(np.float64), y.astype(np.float64))
     limit = atol + rtol * np.nan_to_num(np.abs(y.astype(np.float64)))
-    n = int(np.count_nonzero(apart > limit))
+    n = int(np.count_nonzero((apart > limit) | np.isinf(apart)))
     most = float(apart.max(initial=0.0))
     return n, x.size, most if n else NAN, f"{n} of {x.size}, by {most:.4g} at most"
 

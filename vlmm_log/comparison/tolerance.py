@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from fnmatch import fnmatchcase
 
 from vlmm_log.types import InputError
@@ -21,10 +22,9 @@ class Tolerance:
     atols: Mapping[str, float] = field(default_factory=dict)  # pattern of entities -> atol
     rtols: Mapping[str, float] = field(default_factory=dict)
 
-    @property
-    def exact(self) -> bool:
-        """Whether nothing may differ."""
-        return not any((self.atol, self.rtol, *self.atols.values(), *self.rtols.values()))
+    def check(self, entities: Iterable[str]) -> None:
+        """Raise InputError where a pattern fits none of the entities."""
+        _check("a tolerance of", (*self.atols, *self.rtols), entities)
 
     def of(self, entity: str) -> tuple[float, float]:
         """atol and rtol of an entity. The last pattern that fits counts."""
@@ -44,12 +44,24 @@ class Choice:
     only: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
 
+    def check(self, entities: Iterable[str]) -> None:
+        """Raise InputError where ``only`` fits none of the entities: nothing would be compared, and all be the same."""
+        _check("--only", self.only, entities)
+
     def takes(self, entity: str) -> bool:
         """Whether an entity is compared. What a stage took is compared only where it is asked for."""
         if self.only and not any(_fits(entity, pattern) for pattern in self.only):
             return False
         ignored = self.ignore if self.only else (*self.ignore, TIMES)
         return not any(_fits(entity, pattern) for pattern in ignored)
+
+
+def _check(option: str, patterns: Iterable[str], entities: Iterable[str]) -> None:
+    known = sorted(entities)
+    for pattern in patterns:
+        if not any(_fits(entity, pattern) for entity in known):
+            near = get_close_matches(pattern.strip("/"), known, 1, 0.0)
+            raise InputError(f"{option} {pattern}: no entity is called so{f'; there is {near[0]}' if near else ''}")
 
 
 def _fits(entity: str, pattern: str) -> bool:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 from vlmm_log.comparison.difference import Difference, Divergence, ElementChange, EntityDifference, Figures, Place
 
 STAGES = {  # what a stage does, for those who do not know its name
-    "input": "what was read",
+    "input": "what was read and paired",
     "flow": "optical flow",
     "segments": "instances",
     "matches": "gate and noise model of the matches",
@@ -68,8 +69,12 @@ def _element_lines(d: Difference) -> Iterator[str]:
 
 def flip_words(change: ElementChange) -> str:
     """An element whose class flipped: its id, label, and both classes."""
-    told = next((t for t in change.told.split(", ") if re.fullmatch(r"(static|movable_static|moving) -> \w+", t)), "")
-    return f"{id_words(change)} {change.label}: {told}"
+    return f"{id_words(change)} {change.label}: {' -> '.join(change.classes)}"
+
+
+def readable(path: Path) -> str:
+    """A file's name as text: bytes that are none as escapes."""
+    return str(path).encode("utf-8", "backslashreplace").decode()
 
 
 def id_words(change: ElementChange) -> str:

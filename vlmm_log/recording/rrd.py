@@ -16,7 +16,7 @@ from typing import Any
 
 import rerun.chunk
 
-from vlmm_log.entries import Entry
+from vlmm_log.entries import Entry, Look
 from vlmm_log.recording.rrd_values import Cells, values
 from vlmm_log.settings import Settings
 from vlmm_log.types import InputError, Run, RunEnd
@@ -50,18 +50,25 @@ class Rrd:
         """See Recording."""
         wanted = [f"/{entity}" for entity in sorted(self.entities & frozenset(entities))]
         waiting: dict[tuple[str, bytes], _Row] = {}  # a row's components may lie in several chunks of a rewritten file
+        still: dict[tuple[str, object], Entry] = {}  # the last told holds for the whole recording
         for chunk in _chunks(self.path, self.file, self.by_entity, wanted):
             entity = chunk.entity_path.removeprefix("/")
             whole = self.components.get(entity, set())
             for row_id, row in _rows(chunk):
                 part = waiting.pop((entity, row_id), None)
                 row = row if part is None else part.joined(row)
-                if chunk.is_static or row.cells.keys() >= whole:
+                if chunk.is_static:
+                    told = self._read(entity, row)
+                    still |= {
+                        (entity, e.value.component if isinstance(e.value, Look) else type(e.value)): e for e in told
+                    }
+                elif row.cells.keys() >= whole:
                     yield from self._read(entity, row)
                 else:
                     waiting[entity, row_id] = row
         for (entity, _), row in waiting.items():
             yield from self._read(entity, row)
+        yield from still.values()
 
     def _read(self, entity: str, row: _Row) -> Iterator[Entry]:
         try:
@@ -165,12 +172,21 @@ def _readable(path: Path) -> tuple[Path, list[str]]:
             if stop <= STREAM_HEADER:
                 raise InputError(f"{path}: not a Rerun recording, or cut off before its first message")
             f.seek(0)
-            with tempfile.NamedTemporaryFile(prefix="vlmm-log-", suffix=".rrd", delete=False) as copy:
-                shutil.copyfileobj(f, copy)
-                copy.truncate(stop)
-            return Path(copy.name), [f"its writer did not finish; the last {size - stop} bytes are torn"]
+            return _copied(f, stop), [f"its writer did not finish; the last {size - stop} bytes are torn"]
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}") from e
+
+
+def _copied(f: Any, stop: int) -> Path:
+    """The first bytes of a file, in a file of their own."""
+    with tempfile.NamedTemporaryFile(prefix="vlmm-log-", suffix=".rrd", delete=False) as copy:
+        try:
+            shutil.copyfileobj(f, copy)
+            copy.truncate(stop)
+        except OSError:
+            Path(copy.name).unlink()
+            raise
+    return Path(copy.name)
 
 
 def _last_message(f: Any, size: int) -> int:
