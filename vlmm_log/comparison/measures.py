@@ -79,7 +79,7 @@ def _raster(a: Raster, b: Raster, atol: float, rtol: float, unit: str) -> Figure
         return _of_numbers(x, y, atol, rtol, unit)
     apart = np.sqrt(np.sum(_apart(x, y) ** 2, axis=0))
     nan_x, nan_y = np.isnan(x), np.isnan(y)
-    one_side, either = (nan_x != nan_y).any(axis=0), (nan_x | nan_y).any(axis=0)
+    one_side, either = (np.asarray(nans.any(axis=0)) for nans in (nan_x != nan_y, nan_x | nan_y))
     return _of_distances(apart, np.sqrt(np.sum(y * y, axis=0)), one_side, either, atol, rtol, unit)
 
 
