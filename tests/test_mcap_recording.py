@@ -95,6 +95,7 @@ def test_every_value_equals_the_rerun_recordings(runs, name):
     assert [key for key in a if a[key] != b[key]] == []
     assert len({kind for _, kind, _, _ in a}) == 13  # all but LabelNames, StateNames and Look
     assert any(entity == f"{IMAGE}/residual/tensor" for entity, *_ in a) == name.endswith("dense")
+    assert vlmm_log.diff(runs[name].with_suffix(".rrd"), runs[name]).same
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
@@ -188,8 +189,7 @@ def test_odd_values_come_back(tmp_path, name):
         file.put(entries.Entry(f"odd/{k}", value, 0, k))  # time 0: Protobuf says nothing of that, too
     file.finish(RunEnd(True, "", 1, 1))
     told, losses = read(tmp_path / "a.mcap")
-    assert not losses
-    assert [c for _, c in told] == [content(value) for value in ODD]
+    assert ([c for _, c in told], losses) == ([content(value) for value in ODD], ())
 
 
 @pytest.mark.parametrize("name", ["ros2", "foxglove-dense"])
@@ -218,8 +218,7 @@ def cut_off(data, expected, path):
     path.write_bytes(data)
     assert open_recording(path).losses
     told, losses = read(path)
-    assert losses
-    assert told == expected[: len(told)]
+    assert losses and told == expected[: len(told)]
     return len(told)
 
 

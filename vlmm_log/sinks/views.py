@@ -37,7 +37,7 @@ def arrows(flow: Float32, spacing: int = 16) -> tuple[Float32, Float32]:
     """Origins and vectors (N, 2) px of the flow on a grid."""
     v, u = np.mgrid[spacing // 2 : flow.shape[0] : spacing, spacing // 2 : flow.shape[1] : spacing]
     origins = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float32)
-    return origins, np.asarray(flow[v.ravel(), u.ravel()])
+    return origins, _drawn(flow[v.ravel(), u.ravel()])
 
 
 def moved_arrows(motion: Motion, frame: Frame, second: Frame, spacing: int = 16) -> tuple[Float32, Float32]:
@@ -49,4 +49,9 @@ def moved_arrows(motion: Motion, frame: Frame, second: Frame, spacing: int = 16)
     in_camera = R_b_world @ motion.residual[:, v, u].astype(np.float64)
     focal = np.array([frame.K[0, 0], frame.K[1, 1]])
     vectors = (in_camera[:2] / frame.depth[v, u]).T * focal
-    return np.stack([u, v], axis=1).astype(np.float32), vectors.astype(np.float32)
+    return np.stack([u, v], axis=1).astype(np.float32), _drawn(vectors)
+
+
+def _drawn(vectors: NDArray[np.floating]) -> Float32:
+    """Vectors to a millionth of a pixel: their ends, which MCAP holds instead, give them back to the bit."""
+    return np.asarray(np.round(vectors * 2.0**20) * 2.0**-20, np.float32)
