@@ -15,6 +15,7 @@ from vlmm_log import entries
 from vlmm_log.depth_pixels import metres
 from vlmm_log.readers.bag.mcap_index import top_records
 from vlmm_log.recording import open_recording
+from vlmm_log.sinks import views
 from vlmm_log.sinks.mcap import McapFile, load_dialect
 from vlmm_log.types import InputError, Run, RunEnd
 
@@ -247,3 +248,11 @@ def test_equal_runs_give_equal_messages_but_for_the_time_taken(room, runs, tmp_p
     again = messages(processed(room, tmp_path / "again.mcap", name))
     assert len(again) > 150
     assert again == messages(runs[name])
+
+
+def test_arrows_are_their_ends_to_the_bit():
+    flow = np.random.default_rng(0).normal(size=(960, 1280, 2)).astype(np.float32) * np.float32(1e-5)
+    origins, vectors = views.arrows(flow)
+    ends = origins.astype(float) + vectors
+    assert ((ends - origins).astype(np.float32) == vectors).all()
+    assert np.abs(vectors - flow[8::16, 8::16].reshape(-1, 2)).max() < 1e-6
