@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 NAN = float("nan")
 NEVER = -(2**63)  # ns, before all times
-Side = Literal["A", "B"]
 
 
 @dataclass(frozen=True)
