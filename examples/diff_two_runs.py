@@ -23,7 +23,7 @@ def moved(log: Path, sets: list[str], atol: float, folder: Path) -> list[str]:
     """What differs in d_M beyond the tolerance, in words; none: nothing does."""
     before = process(log, rrd=folder / "before.rrd", settings=Settings.load())
     after = process(log, rrd=folder / "after.rrd", settings=Settings.load(sets=sets))
-    tolerance, choice = Tolerance(atol), Choice(only=(D_M,))
+    tolerance, choice = Tolerance(atol), Choice(only=(D_M, "settings"))
     done = diff(before.outputs[0], after.outputs[0], tolerance=tolerance, choice=choice, rrd="two_runs.rrd", force=True)
     return summary(done) if done.entities else []
 

@@ -538,3 +538,14 @@ def test_the_example_fails_where_d_m_moved(room, tmp_path):
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == code, done.stderr
     assert "noise model (1)" in done.stdout
+
+
+def test_settings_decide_unless_other_things_alone_are_compared(recording, tmp_path):
+    edit = cell("__properties/vlmm", None, "settings", lambda v: [v[0].replace("alpha = 0.05", "alpha = 0.01")])
+    other = rewritten(recording, tmp_path / "other.rrd", edit)
+    for choice in (Choice(only=(f"{IMAGE}/residual/d_m",)), Choice(ignore=("settings",))):
+        done = vlmm_log.diff(recording, other, choice=choice)
+        assert done.same
+        assert [c.name for c in done.about] == ["noise.alpha"], "told all the same"
+    assert not vlmm_log.diff(recording, other, choice=Choice(only=("settings",))).same
+    assert not vlmm_log.diff(recording, other, choice=Choice(ignore=("log",))).same

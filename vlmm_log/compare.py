@@ -85,7 +85,7 @@ def diff(
 
 
 def _of_maps(paths: tuple[Path, Path], tolerance: Tolerance, choice: Choice) -> Difference:
-    choice.check([ELEMENTS])
+    choice.check([ELEMENTS, *told.COMPARED])
     tolerance.check([ELEMENTS])
     a, b = (load_map(path) for path in paths)
     tables = [Table(element_columns(saved.world.columns)) for saved in (a, b)]
@@ -97,9 +97,7 @@ def _of_maps(paths: tuple[Path, Path], tolerance: Tolerance, choice: Choice) -> 
     return Difference(
         readable(paths[0]),
         readable(paths[1]),
-        settings=told.settings_changes(a.run.settings, b.run.settings),
-        inputs=told.input_changes((a.run, a.end), (b.run, b.end)),
-        about=told.about_changes(a.run, b.run),
+        **told.changes((a.run, a.end), (b.run, b.end), choice),
         elements=elements_difference(tables[0], tables[1], *tolerance.of(ELEMENTS))
         if choice.takes(ELEMENTS)
         else ElementsDifference(0),
@@ -217,7 +215,7 @@ def _of_recordings(
         raise _unrelated(paths, "they share no frame")
     comparison = Comparison(tolerance)
     known = (a.entities | b.entities) - {WORDS}
-    choice.check(known)
+    choice.check([*known, *told.COMPARED])
     tolerance.check(known)
     entities = {entity for entity in known if choice.takes(entity)}
     comparison.stages_compared = _exact_stages(known, choice, tolerance)
@@ -225,14 +223,14 @@ def _of_recordings(
     if rrd is None:
         for match in stream:
             comparison.take(match)
-        return _difference(paths, (a, b), stamps, comparison), (a, b)
+        return _difference(paths, (a, b), stamps, comparison, choice), (a, b)
     from vlmm_log.comparison.merged import Merged
 
     with replacing(rrd, force=True) as (partial,), closing(Merged(partial, (a, b))) as merged:  # claimed before
         for match in stream:
             comparison.take(match)
             merged.take(match)
-        done = _difference(paths, (a, b), stamps, comparison)
+        done = _difference(paths, (a, b), stamps, comparison, choice)
         merged.finish(markdown(done))
     return done, (a, b)
 
@@ -266,6 +264,7 @@ def _difference(
     recordings: tuple[Recording, Recording],
     stamps: tuple[dict[int, int], dict[int, int]],
     comparison: Comparison,
+    choice: Choice,
 ) -> Difference:
     a, b = recordings
     entities, stages = comparison.entity_differences(), comparison.stage_differences()
@@ -276,9 +275,7 @@ def _difference(
     return Difference(
         readable(paths[0]),
         readable(paths[1]),
-        settings=told.settings_changes(a.run.settings, b.run.settings),
-        inputs=told.input_changes((a.run, a.end), (b.run, b.end)),
-        about=told.about_changes(a.run, b.run),
+        **told.changes((a.run, a.end), (b.run, b.end), choice),
         frames=(len(stamps[0]), len(stamps[1]), len(stamps[0].keys() & stamps[1].keys())),
         missing=(*_missing("A", a, len(stamps[0])), *_missing("B", b, len(stamps[1]))),
         first=_first(entities, stages),

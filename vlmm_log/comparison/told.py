@@ -4,13 +4,36 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, TypedDict
 
 from vlmm_log.comparison.difference import Change
+from vlmm_log.comparison.tolerance import Choice
 from vlmm_log.types import Run, RunEnd
 
 CONCERNS = ("noise", "keyframes", "read", "flow", "gate", "ego", "objects", "tracks", "map", "query", "grid", "log")
 """Tables of settings, what decides most first: the noise model decides what counts as motion."""
+
+
+COMPARED = ("settings", "inputs")  # by these names they are chosen or ignored, as entities are
+
+
+class Changes(TypedDict):
+    """What a Difference says of the runs themselves."""
+
+    settings: tuple[Change, ...]
+    inputs: tuple[Change, ...]
+    about: tuple[Change, ...]
+
+
+def changes(a: tuple[Run, RunEnd | None], b: tuple[Run, RunEnd | None], choice: Choice) -> Changes:
+    """All that is told of both runs. What is not chosen is told, too, and no difference by itself."""
+    settings, inputs = settings_changes(a[0].settings, b[0].settings), input_changes(a, b)
+    about = about_changes(a[0], b[0])
+    if not choice.takes("inputs"):
+        inputs, about = (), (*inputs, *about)
+    if not choice.takes("settings"):
+        settings, about = (), (*settings, *about)
+    return Changes(settings=settings, inputs=inputs, about=about)
 
 
 def settings_changes(a: str, b: str) -> tuple[Change, ...]:
