@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 GROUND = {"types", "background", "elements", "query_tree", "queries", "entries", "depth_pixels", "se3", "settings"}
-GROUND |= {"protocols"}
+GROUND |= {"protocols", "calibration"}
 ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/types.py": set(),
     "vlmm_log/version.py": set(),
@@ -33,15 +33,18 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/sinks": GROUND | {"sinks", "ros"},
     "vlmm_log/depth_pixels.py": {"types", "entries"},
     "vlmm_log/recording": GROUND | {"recording", "readers", "pipeline", "maps"},
-    "vlmm_log/comparison": GROUND | {"comparison", "recording", "sinks", "version"},
+    "vlmm_log/pages": {"pages", "types"},
+    "vlmm_log/comparison": GROUND | {"comparison", "pages", "recording", "sinks", "version"},
+    "vlmm_log/calibration.py": {"types", "settings"},
+    "vlmm_log/evaluation": GROUND | {"evaluation", "pages", "pipeline", "sinks", "version"},
 }
 FOREIGN = {  # what only some rooms may know
     "rerun": {"vlmm_log/comparison", "vlmm_log/sinks", "vlmm_log/recording"},
     "mcap": {"vlmm_log/ros", "vlmm_log/recording", "readers"},
     "rosbags": {"vlmm_log/ros", "vlmm_log/writers", "readers"},
     "foxglove": {"vlmm_log/sinks"},
-    "matplotlib": {"vlmm_log/comparison"},
-    "jinja2": {"vlmm_log/comparison"},
+    "matplotlib": {"vlmm_log/pages"},
+    "jinja2": {"vlmm_log/pages"},
     "rerun_cli": {"vlmm_log/viewing.py"},
     "xxhash": {"vlmm_log/sinks", "vlmm_log/recording"},
     "torch": {"vlmm_log/models"},
@@ -49,7 +52,7 @@ FOREIGN = {  # what only some rooms may know
     "open3d": {"vlmm_log/maps"},
     "onnxruntime": {"vlmm_log/models"},
     "open_clip": {"vlmm_log/models"},
-    "sklearn": {"vlmm_log/models"},
+    "sklearn": {"vlmm_log/models", "vlmm_log/evaluation"},
     "urllib3": {"vlmm_log/models"},
     "pyarrow": {"vlmm_log/maps", "vlmm_log/recording", "vlmm_log/sinks"},
     "numba": {"pipeline", "readers"},

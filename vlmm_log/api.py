@@ -83,7 +83,7 @@ def process(
         if path is not None and path.suffix != suffix:  # what is called otherwise is read otherwise
             raise InputError(f"{path}: a recording of this kind is called NAME{suffix}; name it so")
     models, of_models = load_models(s)
-    run = Run(log.name, reader, s.to_toml(), _versions() | of_models, log.has_poses, log.world_up, tuple(log.notes))
+    run = Run(log.name, reader, s.to_toml(), versions() | of_models, log.has_poses, log.world_up, tuple(log.notes))
     summary = Summary(noise_scale=s.noise.scale)
     recordings = _recordings(target, mcap_target, mcap_schema, run)
     recorders = [Recorder(recordings, dense=s.log.dense)] if recordings else []
@@ -134,7 +134,8 @@ def _tell(progress: Progress, expected: int, done: int) -> None:
     progress(done, expected)
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Of this project, Python and the libraries that decide results."""
     own = {"vlmm-log": __version__, "python": platform.python_version()}
     return own | {name: metadata.version(name) for name in LIBRARIES}
 

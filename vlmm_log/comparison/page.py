@@ -8,6 +8,7 @@ from vlmm_log.comparison.difference import Difference
 from vlmm_log.comparison.pictures import worst_frames
 from vlmm_log.comparison.plots import curves, where_and_when
 from vlmm_log.comparison.words import STAGES, figure_words, first_words, grouped, id_words, place_words, summary
+from vlmm_log.pages.templates import rendered
 from vlmm_log.recording import Recording
 from vlmm_log.version import __version__
 
@@ -19,17 +20,6 @@ def write_page(path: Path, d: Difference, recordings: tuple[Recording, Recording
 
 def page(d: Difference, recordings: tuple[Recording, Recording] | None) -> str:
     """The page as HTML."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("vlmm_log", "data"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.globals.update(
-        figure_words=lambda e: figure_words(e.worst.figures) if e.worst else "",
-        id_words=id_words,
-        place_words=place_words,
-        stages=STAGES,
-    )
     listed = [
         {
             "name": name,
@@ -44,13 +34,20 @@ def page(d: Difference, recordings: tuple[Recording, Recording] | None) -> str:
         }
         for name, group in grouped(d.entities)
     ]
-    return environment.get_template("diff.html").render(
-        d=d,
-        summary=summary(d),
-        first=None if d.first is None else first_words(d.first),
-        listed=listed,
-        where=where_and_when(d),
-        curves=None if recordings is None or d.same else curves(recordings),
-        rows=[] if recordings is None else worst_frames(d, recordings),
-        version=__version__,
+    return rendered(
+        "diff.html",
+        {
+            "d": d,
+            "summary": summary(d),
+            "first": None if d.first is None else first_words(d.first),
+            "listed": listed,
+            "where": where_and_when(d),
+            "curves": None if recordings is None or d.same else curves(recordings),
+            "rows": [] if recordings is None else worst_frames(d, recordings),
+            "version": __version__,
+            "figure_words": lambda e: figure_words(e.worst.figures) if e.worst else "",
+            "id_words": id_words,
+            "place_words": place_words,
+            "stages": STAGES,
+        },
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,13 +14,13 @@ from vlmm_log.comparison.difference import Difference, EntityDifference
 from vlmm_log.comparison.words import figure_words
 from vlmm_log.depth_pixels import metres
 from vlmm_log.entries import DepthMap, Labels, Picture, Raster, Value
+from vlmm_log.pages.pictures import coloured, data_uri
 from vlmm_log.recording import Recording
 from vlmm_log.sinks.map_entries import id_color
 from vlmm_log.sinks.pair_entries import IMAGE
 from vlmm_log.sinks.rerun_values import LOOKS
 from vlmm_log.types import UInt8
 
-WIDTH = 320  # px of a picture
 ENTITIES = (
     "residual/d_m",
     "validity",
@@ -61,7 +60,7 @@ def worst_frames(d: Difference, recordings: tuple[Recording, Recording]) -> list
             shown = [("colour, A", colour[frame])] if frame in colour and e.entity != f"{IMAGE}/rgb" else []
             pictures = [(name, picture(e.entity, value)) for name, value in (*shown, ("A", a[frame]), ("B", b[frame]))]
             pictures.append(("|A - B|", apart(a[frame], b[frame])))
-            uris = tuple((name, _uri(pixels)) for name, pixels in pictures if pixels is not None)
+            uris = tuple((name, data_uri(pixels)) for name, pixels in pictures if pixels is not None)
             rows.append(Row(e.entity, frame, _told(e, frame), uris))
     return rows
 
@@ -90,15 +89,15 @@ def picture(entity: str, value: Value) -> UInt8 | None:
             return None if found is None else np.asarray(found, np.uint8)
         case DepthMap():
             try:
-                return _coloured(metres(value), 0.0, DEPTH_M, cv2.COLORMAP_VIRIDIS)
+                return coloured(metres(value), 0.0, DEPTH_M, cv2.COLORMAP_VIRIDIS)
             except ValueError:
                 return None
         case Raster(values, ()):
             low, high, name = LOOKS.get(entity, (0.0, 1.0, "viridis"))
             colors = {"turbo": cv2.COLORMAP_TURBO, "viridis": cv2.COLORMAP_VIRIDIS, "magma": cv2.COLORMAP_MAGMA}
-            return _coloured(values, low, high, colors[name])
+            return coloured(values, low, high, colors[name])
         case Raster(values, ("u", "v")):
-            return _coloured(np.hypot(*values.astype(np.float32)), 0.0, TENSOR_PX, cv2.COLORMAP_VIRIDIS)
+            return coloured(np.hypot(*values.astype(np.float32)), 0.0, TENSOR_PX, cv2.COLORMAP_VIRIDIS)
         case Labels(values):
             table = np.array([(40, 40, 40), *(id_color(i)[::-1] for i in range(1, int(values.max()) + 1))], np.uint8)
             return np.asarray(table[values], np.uint8)
@@ -133,20 +132,4 @@ def _distance(difference: NDArray[Any]) -> UInt8:
     """Distances up to their 99th percentile."""
     size = np.abs(difference)
     known = size[np.isfinite(size)]
-    return _coloured(size, 0.0, max(float(np.percentile(known, 99)) if known.size else 0.0, 1e-6), cv2.COLORMAP_MAGMA)
-
-
-def _coloured(values: NDArray[Any], low: float, high: float, colormap: int) -> UInt8:
-    """Numbers in colours, NaN black."""
-    known = np.isfinite(values)
-    scaled = np.clip((np.where(known, values, low).astype(np.float32) - low) * (255 / (high - low)), 0, 255)
-    colors = cv2.applyColorMap(scaled.astype(np.uint8), colormap)
-    colors[~known] = 0
-    return np.asarray(colors, np.uint8)
-
-
-def _uri(pixels: UInt8) -> str:
-    height = max(round(pixels.shape[0] * WIDTH / pixels.shape[1]), 1)
-    small = cv2.resize(pixels, (WIDTH, height), interpolation=cv2.INTER_AREA)
-    _, file = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 85])
-    return f"data:image/jpeg;base64,{base64.b64encode(file.tobytes()).decode()}"
+    return coloured(size, 0.0, max(float(np.percentile(known, 99)) if known.size else 0.0, 1e-6), cv2.COLORMAP_MAGMA)

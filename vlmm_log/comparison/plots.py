@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,10 +9,10 @@ import numpy as np
 from vlmm_log.comparison.difference import Difference
 from vlmm_log.comparison.words import HISTORY
 from vlmm_log.entries import Scalar
+from vlmm_log.pages.charts import BLUE, VERMILION, figure, svg
 from vlmm_log.recording import Recording
 
 CURVES = ("flagged_share", "median_d_m", "inlier_share", "valid_share")
-BLUE, VERMILION = "#0072b2", "#d55e00"  # told apart also by the colour-blind (Okabe and Ito)
 MOST = 30  # entities
 
 
@@ -35,16 +34,16 @@ def where_and_when(d: Difference) -> str | None:
         for p in (*e.only_a, *e.only_b):
             if p.index is not None:
                 shares[row, p.index - span[0]] = 1.0
-    figure = _figure(11.0, 0.9 + 0.24 * len(shown))
-    axes = figure.subplots()
+    drawn = figure(11.0, 0.9 + 0.24 * len(shown))
+    axes = drawn.subplots()
     edges = (span[0] - 0.5, span[-1] + 0.5, len(shown) - 0.5, -0.5)
     image = axes.imshow(shares, aspect="auto", extent=edges, cmap="magma_r", vmin=0, vmax=1, interpolation="nearest")
     names = [e.entity.replace("world/camera/image/", "").replace("world/", "") for e in shown]
     axes.set_yticks(range(len(shown)), names, fontsize=8)
     axes.set_xlabel("frame", fontsize=8)
     axes.tick_params(axis="x", labelsize=8)
-    figure.colorbar(image, ax=axes, pad=0.01).ax.tick_params(labelsize=7)
-    return _svg(figure)
+    drawn.colorbar(image, ax=axes, pad=0.01).ax.tick_params(labelsize=7)
+    return svg(drawn)
 
 
 def curves(recordings: tuple[Recording, Recording]) -> str | None:
@@ -53,8 +52,8 @@ def curves(recordings: tuple[Recording, Recording]) -> str | None:
     names = [name for name in CURVES if all(name in v for v in values)]
     if not names:
         return None
-    figure = _figure(11.0, 1.3 * len(names) + 0.4)
-    for axes, name in zip(np.atleast_1d(figure.subplots(len(names), 1, sharex=True)), names, strict=True):
+    drawn = figure(11.0, 1.3 * len(names) + 0.4)
+    for axes, name in zip(np.atleast_1d(drawn.subplots(len(names), 1, sharex=True)), names, strict=True):
         for v, label, color, style in zip(values, "AB", (BLUE, VERMILION), ("-", "--"), strict=True):
             x, y = zip(*v[name], strict=True)
             axes.plot(x, y, style, label=label, color=color, linewidth=1.2)
@@ -62,7 +61,7 @@ def curves(recordings: tuple[Recording, Recording]) -> str | None:
         axes.tick_params(labelsize=7)
         axes.legend(fontsize=7, loc="upper right")
     axes.set_xlabel("frame", fontsize=8)
-    return _svg(figure)
+    return svg(drawn)
 
 
 def _scalars(recording: Recording) -> Mapping[str, Sequence[tuple[int, float]]]:
@@ -71,19 +70,3 @@ def _scalars(recording: Recording) -> Mapping[str, Sequence[tuple[int, float]]]:
         if isinstance(e.value, Scalar) and e.index is not None:
             found.setdefault(e.entity.removeprefix("stats/"), []).append((e.index, e.value.value))
     return found
-
-
-def _figure(width: float, height: float):  # type: ignore[no-untyped-def]  # matplotlib is imported where it is needed
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _svg(figure) -> str:  # type: ignore[no-untyped-def]
-    import matplotlib
-
-    out = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": "vlmm-log", "svg.fonttype": "none"}):  # the same bytes each time
-        figure.savefig(out, format="svg", metadata={"Date": None})
-    text = out.getvalue()
-    return text[text.index("<svg") :]

@@ -1,0 +1,139 @@
+"""Trials and baselines over logs with truth, judged pixel by pixel and element by element."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vlmm_log.elements import Elements
+from vlmm_log.evaluation import scores as sc
+from vlmm_log.evaluation.baselines.protocol import Baseline
+from vlmm_log.evaluation.counts import Counts, count
+from vlmm_log.evaluation.noise_fit import NoiseFit
+from vlmm_log.evaluation.scores import Scores
+from vlmm_log.evaluation.things import Judged, ThingCounts
+from vlmm_log.evaluation.trial import Seen, Trial
+from vlmm_log.evaluation.truth import PairTruth, Truth
+from vlmm_log.evaluation.worst import Worst
+from vlmm_log.protocols import Models, MovabilityPrior
+from vlmm_log.settings import Settings
+from vlmm_log.types import Float32, FramePair
+
+FAR_M = 2.5
+OWN = "full"  # row of the settings' own answers
+
+
+@dataclass
+class PixelScore:
+    """One score under judgement."""
+
+    threshold: float
+    counts: Counts = field(default_factory=Counts)
+
+
+@dataclass(frozen=True, eq=False)
+class ElementScores:
+    """What one log's elements are, and how each way ranks them."""
+
+    columns: Elements
+    judged: Judged
+    ways: Mapping[str, tuple[Scores, ...]]  # name -> candidates
+
+
+@dataclass
+class Bench:
+    """What was found so far. Logs come one after the other."""
+
+    withheld: MovabilityPrior | None = None  # a prior that does not know the names themselves
+    pixels: dict[tuple[str, str], PixelScore] = field(default_factory=dict)
+    elements: list[ElementScores] = field(default_factory=list)
+    things: dict[str, list[ThingCounts]] = field(default_factory=dict)
+    noise: NoiseFit = field(default_factory=NoiseFit)
+    worst: Worst = field(default_factory=Worst)
+
+    def score(self, trial: str, name: str, value: Float32, threshold: float, truth: PairTruth, pair: FramePair) -> None:
+        """Count one score of one pair."""
+        held = self.pixels.setdefault((trial, name), PixelScore(threshold))
+        with np.errstate(invalid="ignore"):
+            held.counts.frames.append(count(value, threshold, truth, pair.first.depth > FAR_M))
+
+
+@dataclass
+class LogRun:
+    """One log on the bench."""
+
+    bench: Bench
+    name: str
+    truth: Truth
+    trials: Sequence[Trial]
+    baselines: Sequence[Baseline]
+    judged_pairs: int = 0
+
+    def __post_init__(self) -> None:
+        self.counts = {t.name: ThingCounts(self.truth.things) for t in self.trials}
+        for name, held in self.counts.items():
+            self.bench.things.setdefault(name, []).append(held)
+
+    def see(self, pair: FramePair, models: Models) -> None:
+        """One pair, by all trials and baselines."""
+        truth = self.truth.of(pair)
+        first: Seen | None = None
+        for trial in self.trials:
+            seen = trial.see(pair, models)
+            first = first or seen
+            if truth is not None:
+                self._judge(trial, seen, truth)
+        assert first is not None, "a bench has a trial"
+        for baseline in self.baselines:
+            value = baseline.see(first)
+            if value is not None and truth is not None:
+                self.bench.score(baseline.name, "own", value, baseline.threshold, truth, pair)
+        if truth is not None:
+            self.judged_pairs += 1
+            self.bench.noise.add(first, truth)
+            self.bench.worst.add(self.name, first, truth)
+
+    def _judge(self, trial: Trial, seen: Seen, truth: PairTruth) -> None:
+        motion = seen.motion
+        self.bench.score(trial.name, "d_M", motion.d_m, motion.tau_px, truth, seen.pair)
+        self.bench.score(trial.name, "raw", motion.norm, RAW_FLAG_M, truth, seen.pair)
+        self.counts[trial.name].add(truth, seen, trial.settings.map.min_pixels)
+
+    def finish(self) -> None:
+        """Rank the elements of the first trial in every way, once the log is over."""
+        trial = self.trials[0]
+        if not self.truth.things:
+            return
+        columns, s = trial.world.map.columns, trial.settings
+        judged = self.counts[trial.name].judged(columns.ids, s.map.min_pixels)
+        of_fields = _of_fields(columns, s, self.bench.withheld)
+        ways: dict[str, tuple[Scores, ...]] = {name: (scores,) for name, scores in of_fields.items()}
+        for other in (t for t in self.trials[1:] if t.plan.same_ids):
+            ways[other.name] = (_on(columns, other),)
+        ways |= {b.name: found for b in self.baselines if (found := b.answers(columns))}
+        self.bench.elements.append(ElementScores(columns, judged, ways))
+
+
+RAW_FLAG_M = 0.02
+
+
+def _of_fields(columns: Elements, s: Settings, withheld: MovabilityPrior | None) -> dict[str, Scores]:
+    """The whole schema, and with a field taken away."""
+    found = {OWN: sc.whole(columns, s)}
+    if withheld is not None:
+        rho = np.array([withheld(label).rho for label in columns.labels])
+        found["full, prior without these names"] = sc.whole(sc.with_prior(columns, rho, s), s)
+    return found | {
+        "observed motion only": sc.observed_only(columns, s),
+        "movability prior only": sc.prior_only(columns),
+    }
+
+
+def _on(columns: Elements, trial: Trial) -> Scores:
+    """Another trial's answers on the first one's elements, by id; an element that it lacks comes last."""
+    own = trial.world.map.columns
+    place = {int(i): row for row, i in enumerate(own.ids.tolist())}
+    rows = np.array([place.get(int(i), -1) for i in columns.ids.tolist()], np.int64)
+    return sc.taken(sc.whole(own, trial.settings), rows)
