@@ -29,6 +29,7 @@ ROOMS = {  # folder or file -> what of the project it may import
     "pipeline": GROUND | {"pipeline"},
     "vlmm_log/models": GROUND | {"models"},
     "vlmm_log/writers": GROUND | {"writers", "readers", "outputs", "ros"},
+    "vlmm_log/simulation": GROUND | {"simulation"},
     "vlmm_log/checks": GROUND | {"checks", "readers", "pipeline", "models"},
     "vlmm_log/sinks": GROUND | {"sinks", "ros"},
     "vlmm_log/depth_pixels.py": {"types", "entries"},
@@ -49,13 +50,13 @@ FOREIGN = {  # what only some rooms may know
     "xxhash": {"vlmm_log/sinks", "vlmm_log/recording"},
     "torch": {"vlmm_log/models"},
     "torchvision": {"vlmm_log/models"},
-    "open3d": {"vlmm_log/maps"},
+    "open3d": {"vlmm_log/maps", "vlmm_log/simulation"},
     "onnxruntime": {"vlmm_log/models"},
     "open_clip": {"vlmm_log/models"},
     "sklearn": {"vlmm_log/models", "vlmm_log/evaluation"},
     "urllib3": {"vlmm_log/models"},
     "pyarrow": {"vlmm_log/maps", "vlmm_log/recording", "vlmm_log/sinks"},
-    "numba": {"pipeline", "readers"},
+    "numba": {"pipeline", "readers", "vlmm_log/simulation"},
     "click": {"vlmm_log/cli.py", "vlmm_log/progress.py"},
 }
 SOURCES = sorted(p for d in ("vlmm_log", "readers", "pipeline") for p in (ROOT / d).rglob("*.py"))

@@ -13,10 +13,23 @@ if TYPE_CHECKING:
     from vlmm_log.conversion import convert
     from vlmm_log.diagnosis import doctor
     from vlmm_log.readers import open_log
+    from vlmm_log.rendering import simulate
     from vlmm_log.settings import Settings
     from vlmm_log.survey import info
 
-__all__ = ["Settings", "__version__", "convert", "diff", "doctor", "info", "load_map", "open_log", "process", "query"]
+__all__ = [
+    "Settings",
+    "__version__",
+    "convert",
+    "diff",
+    "doctor",
+    "info",
+    "load_map",
+    "open_log",
+    "process",
+    "query",
+    "simulate",
+]
 
 _HOME = {
     "Settings": "vlmm_log.settings",
@@ -28,6 +41,7 @@ _HOME = {
     "open_log": "vlmm_log.readers",
     "process": "vlmm_log.api",
     "query": "vlmm_log.ask",
+    "simulate": "vlmm_log.rendering",
 }
 
 

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from vlmm_log.comparison.difference import Difference
     from vlmm_log.conversion import Converted
     from vlmm_log.diagnosis import Diagnosis
+    from vlmm_log.rendering import Simulated
     from vlmm_log.survey import Info
 
 
@@ -210,6 +211,21 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         console.print(f"  {seen.check}: {printable(seen.message)}", highlight=False, soft_wrap=True)
     if not diagnosis.findings:
         console.print("nothing found that contradicts the data", highlight=False, soft_wrap=True)
+
+
+def print_simulated(done: Simulated) -> None:
+    """What was rendered."""
+    from rich.console import Console
+
+    console = Console(markup=False)
+    kinds = len(set(done.visible))
+    console.print(
+        f"  {done.frames} frames of {done.scene}: {len(done.visible)} objects of {kinds} names are seen "
+        f"of {done.things}, {len(done.movers)} move: {', '.join(done.movers)}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    console.print(f"wrote {printable(str(done.out))}", highlight=False, soft_wrap=True)
 
 
 def print_converted(done: Converted) -> None:
