@@ -57,7 +57,7 @@ def _dresser(rng: Rng, duration_s: float) -> list[Thing]:
     """Three drawers, one of which is pulled; a bedside table beside it."""
     timber, handle = m.wood(rng, 0.5), m.metal(rng)
     face, x, width = 4.1, 0.55, 0.8
-    case = furniture.carcass(width, 0.48, 0.84, timber)
+    case = furniture.carcass(width, 0.48, 0.86, timber, ())
     things = [building.still("dresser", case, standing(x, face + 0.24))]
     pulled = int(rng.integers(1, 3))
     for k in range(3):
@@ -66,7 +66,7 @@ def _dresser(rng: Rng, duration_s: float) -> list[Thing]:
         T = standing(x, face, 0.035 + k * (height + 0.012))
         way = course(rng, 0.28, 0.22, duration_s)
         things.append(slid("drawer", tray, T, FORWARD, way) if k == pulled else building.still("drawer", tray, T))
-    things += spread(Surface((x, face + 0.24), 0.75, 0.42, 0.84), ["vase", "box"], SMALL, rng)
+    things += spread(Surface((x, face + 0.24), 0.75, 0.42, 0.86), ["vase", "box"], SMALL, rng)
     small = furniture.table(0.42, 0.4, 0.55, m.wood(rng))
     things.append(building.still("side table", small, standing(-0.2, 4.32)))
     return things + spread(Surface((-0.2, 4.32), 0.38, 0.36, 0.55), ["desk lamp"], MACHINES, rng)

@@ -45,7 +45,7 @@ def window(rng: Rng, width: float, height: float) -> Shape:
     bars = [solid(box(width, 0.06, 0.06), frame, 0, -0.03, z) for z in (0.0, height / 2 - 0.03, height - 0.06)] + [
         solid(box(0.06, 0.06, height), frame, x, -0.03, 0) for x in (-width / 2 + 0.03, 0.0, width / 2 - 0.03)
     ]
-    return assembled(solid(box(width, 0.02, height), m.picture(rng), 0, -0.012, 0), *bars)
+    return assembled(solid(box(width, 0.02, height), m.outdoors(rng), 0, -0.012, 0), *bars)
 
 
 def picture(rng: Rng, width: float, height: float) -> Shape:

@@ -22,7 +22,8 @@ from vlmm_log.types import Float32, Float64, UInt16
 
 LOG_UNITS, TRUTH_UNITS = 5000, 10_000  # of depth images, stored values of a metre
 START_S = 1000  # stamp of frame 0
-FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+SMOOTH = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+GRAINY = [*SMOOTH, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]  # faster, and smaller where all is noise
 FOLDERS = ("rgb", "depth", *(f"truth/{name}" for name in ("instances", "parts", "depth", "flow", "motion")))
 
 
@@ -40,8 +41,8 @@ def make_folders(out: Path) -> None:
 def write_view(out: Path, index: int, view: View) -> None:
     """The images of one frame."""
     truth, name = out / "truth", f"{index:06d}.png"
-    _png(out / f"rgb/{stamp(index)}.png", view.rgb[..., ::-1])
-    _png(out / f"depth/{stamp(index)}.png", _stored(view.depth, LOG_UNITS))
+    _png(out / f"rgb/{stamp(index)}.png", cv2.cvtColor(view.rgb, cv2.COLOR_RGB2BGR), GRAINY)
+    _png(out / f"depth/{stamp(index)}.png", _stored(view.depth, LOG_UNITS), GRAINY)
     _png(truth / "instances" / name, view.instances)
     _png(truth / "parts" / name, view.parts)
     _png(truth / "depth" / name, _stored(view.exact, TRUTH_UNITS))
@@ -116,10 +117,10 @@ def _stored(depth: Float32, units: int) -> UInt16:
     return np.where(values < 65536, values, 0).astype(np.uint16)
 
 
-def _png(path: Path, image: NDArray[Any]) -> None:
-    done, data = cv2.imencode(".png", image, FAST)
+def _png(path: Path, image: NDArray[Any], how: Sequence[int] = SMOOTH) -> None:
+    done, data = cv2.imencode(".png", image, how)
     assert done, "every image is one that PNG can hold"
-    path.write_bytes(data.tobytes())
+    path.write_bytes(data.data)
 
 
 def _pose(T: Float64) -> str:

@@ -67,12 +67,12 @@ def bed(rng: Rng, width: float, length: float) -> Shape:
     return assembled(frame, mattress, blanket, solid(box(width + 0.06, 0.06, 0.95), timber, 0, length / 2, 0))
 
 
-def shelves(width: float, depth: float, height: float, boards: int, material: Material) -> Shape:
+def shelves(width: float, depth: float, height: float, boards: int, material: Material, rear: Material) -> Shape:
     """An open case; its boards lie at even heights, the lowest at 0.04."""
     sides = [solid(box(0.025, depth, height), material, s * (width / 2 - 0.0125), 0, 0) for s in (-1, 1)]
     levels = board_heights(height, boards)
     laid = [solid(box(width - 0.05, depth, 0.025), material, 0, 0, z - 0.025) for z in [*levels, height]]
-    return assembled(*sides, *laid, solid(box(width, 0.012, height), material, 0, depth / 2 - 0.006, 0))
+    return assembled(*sides, *laid, solid(box(width, 0.012, height), rear, 0, depth / 2 - 0.006, 0))
 
 
 def board_heights(height: float, boards: int) -> list[float]:
@@ -80,12 +80,12 @@ def board_heights(height: float, boards: int) -> list[float]:
     return [0.04 + k * (height - 0.04) / boards for k in range(boards)]
 
 
-def carcass(width: float, depth: float, height: float, material: Material) -> Shape:
-    """A box that is open in front: what a door or a drawer leaves."""
+def carcass(width: float, depth: float, height: float, material: Material, boards: tuple[float, ...] = (0.5,)) -> Shape:
+    """A box that is open in front: what a door or a drawer leaves; ``boards`` at shares of its height."""
     walls = [solid(box(0.02, depth, height), material, s * (width / 2 - 0.01), 0, 0) for s in (-1, 1)]
     lids = [solid(box(width, depth, 0.02), material, 0, 0, z) for z in (0.0, height - 0.02)]
-    middle = solid(box(width, depth - 0.02, 0.015), material, 0, 0.01, 0.5 * height)
-    return assembled(*walls, *lids, middle, solid(box(width, 0.015, height), material, 0, depth / 2 - 0.0075, 0))
+    laid = [solid(box(width, depth - 0.02, 0.015), material, 0, 0.01, share * height) for share in boards]
+    return assembled(*walls, *lids, *laid, solid(box(width, 0.015, height), material, 0, depth / 2 - 0.0075, 0))
 
 
 def front(width: float, height: float, material: Material, handle: Material) -> Shape:

@@ -31,7 +31,7 @@ def kitchen(rng: Rng, duration_s: float) -> Scene:
     things = building.shell(4.3, -1.2, BACK, 2.5, looks)
     things += _lower(rng, wood, handle, duration_s) + _upper(rng, wood, handle, duration_s) + _wall(rng)
     things += _counter(rng) + _table(rng, duration_s) + _floor(rng)
-    walk = Walk(np.array([0.15, 2.85]), (0.9, 0.28), float(rng.choice([-1, 1])) * 0.62, float(rng.uniform(0, 6.28)))
+    walk = Walk(np.array([0.15, 2.88]), (0.9, 0.24), float(rng.choice([-1, 1])) * 0.55, float(rng.uniform(0, 6.28)))
     things.append(walker(rng, walk))
     return Scene("kitchen", tuple(things), hand_held(rng, (0.0, 0.0, 1.5), 0.2), (0.3, 1.6, 2.4))
 
@@ -48,7 +48,9 @@ def _lower(rng: Rng, wood: Material, handle: Material, duration_s: float) -> lis
             )
             things.append(building.still("cabinet", whole, T @ shift(0, 0, 0.1)))
             continue
-        things.append(building.still("cabinet", furniture.carcass(UNIT, 0.55, 0.86, wood), T @ shift(0, 0.275, 0.02)))
+        things.append(
+            building.still("cabinet", furniture.carcass(UNIT, 0.55, 0.86, wood, ()), T @ shift(0, 0.275, 0.02))
+        )
         for z, height in ((0.12, 0.36), (0.5, 0.35)):
             tray = furniture.drawer(UNIT - 0.045, 0.4, height, wood, handle)
             at = standing(x, FACE, z)
@@ -62,12 +64,11 @@ def _upper(rng: Rng, wood: Material, handle: Material, duration_s: float) -> lis
     """Cabinets on the wall, one with a door that swings."""
     w, d, h, z = 0.52, 0.32, 0.68, 1.42
     things = []
-    opened = int(rng.integers(2))
-    for k, x in enumerate((-1.75, -1.22, 0.72)):
+    for k, x in enumerate((-1.75, -1.22, 0.63)):
         T = standing(x, BACK - d, z)
         things.append(building.still("cabinet", furniture.carcass(w, d, h, wood), T @ shift(0, d / 2 + 0.001)))
         leaf = furniture.front(w - 0.01, h, wood, handle)
-        if k == opened:
+        if k == 0:
             hung = assembled(*(solid(moved(p.mesh, shift(w / 2, 0)), p.material) for p in leaf.pieces))
             motion = course(rng, 1.35, 0.9, duration_s)
             things.append(hinged("cabinet", hung, T @ shift(-w / 2, -0.002), motion, -1.0))
@@ -138,10 +139,10 @@ def _floor(rng: Rng) -> list[Thing]:
     parts = [solid(box(0.72, 0.62, 1.75), steel), solid(box(0.7, 0.05, 1.1), steel, 0, -0.335, 0.02)]
     parts += [solid(box(0.7, 0.05, 0.6), steel, 0, -0.335, 1.14)]
     parts += [solid(box(0.03, 0.05, 0.4), m.plastic(rng), -0.28, -0.38, z) for z in (0.65, 1.2)]
-    things = [building.still("fridge", assembled(*parts), standing(1.3, 3.75))]
+    things = [building.still("fridge", assembled(*parts), standing(1.37, 3.75))]
     yaw = [float(a) for a in rng.uniform(-0.2, 0.2, 4)]
-    things.append(building.still("chair", furniture.chair(rng), standing(-0.45, 2.06, 0, yaw[0] / 3)))
-    things.append(building.still("chair", furniture.chair(rng), standing(0.5, 2.06, 0, yaw[1] / 3)))
+    things.append(building.still("chair", furniture.chair(rng), standing(-0.45, 2.02, 0, yaw[0] / 3)))
+    things.append(building.still("chair", furniture.chair(rng), standing(0.5, 2.02, 0, yaw[1] / 3)))
     things.append(building.still("stool", furniture.stool(rng), standing(-1.42, 2.75, 0, yaw[2])))
     things.append(building.still("garbage can", SMALL["garbage can"](rng), standing(1.75, 3.1, 0, yaw[3])))
     return things

@@ -28,7 +28,7 @@ def living_room(rng: Rng, duration_s: float) -> Scene:
     things += _back(rng) + _seats(rng) + _table(rng, duration_s) + _door(rng, duration_s)
     ground = Surface((0.1, 2.75), 1.5, 0.3, 0.0)
     things.append(rolling(ground, "basket ball", basketball(rng), 2.75, 1.1, 0.45, rng, duration_s))
-    walk = Walk(np.array([0.0, 3.6]), (0.9, 0.3), float(rng.choice([-1, 1])) * 0.65, float(rng.uniform(0, 6.28)))
+    walk = Walk(np.array([-0.1, 3.62]), (0.82, 0.28), float(rng.choice([-1, 1])) * 0.6, float(rng.uniform(0, 6.28)))
     things.append(walker(rng, walk))
     return Scene("living_room", tuple(things), hand_held(rng, (0.0, 0.0, 1.42), 0.21), (-0.2, 2.2, 2.45))
 
@@ -42,7 +42,7 @@ def _back(rng: Rng) -> list[Thing]:
     things.append(building.still("tv stand", furniture.carcass(1.3, 0.42, 0.48, timber), standing(-0.62, 4.72)))
     things.append(building.still("television", MACHINES["television"](rng), standing(-0.62, 4.74, 0.48)))
     things.append(building.still("painting", building.picture(rng, 0.7, 0.5), standing(-0.62, BACK, 1.55)))
-    unit = furniture.shelves(0.8, 0.34, 1.75, 4, timber)
+    unit = furniture.shelves(0.8, 0.34, 1.75, 4, timber, m.lacquer(rng, 0.8))
     things.append(building.still("shelving unit", unit, standing(0.62, 4.8)))
     levels = furniture.board_heights(1.75, 4)
     pool = ["statue", "vase", "box", "teddy bear", "tissue box", "speaker", "kettle", "alarm clock"]
@@ -62,7 +62,7 @@ def _seats(rng: Rng) -> list[Thing]:
         T = standing(-1.92, y + jitter[0], 0.45) @ turn("z", np.pi / 2) @ shift(0, -0.02, 0.0) @ turn("x", 1.15)
         things.append(building.still("pillow", SMALL["pillow"](rng), T))
     chair = furniture.sofa(rng, 0.9)
-    things.append(building.still("arm chair", chair, standing(1.72, 3.35 + jitter[1], 0, -1.2 + jitter[2])))
+    things.append(building.still("arm chair", chair, standing(1.78, 3.3 + jitter[1], 0, -1.2 + jitter[2])))
     things.append(building.still("floor lamp", MACHINES["floor lamp"](rng), standing(-1.4, 4.62)))
     things.append(building.still("house plant", plant(rng, 0.85), standing(1.06, 4.2 + jitter[3])))
     things.append(building.still("ottoman", furniture.ottoman(rng), standing(-1.1, 2.3, 0, jitter[4])))

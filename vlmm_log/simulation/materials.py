@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-Pattern = Literal["plain", "stripes", "checks", "print", "wood", "tiles"]
+Pattern = Literal["plain", "stripes", "checks", "print", "wood", "tiles", "clouds"]
 PATTERNS: tuple[Pattern, ...] = get_args(Pattern)  # the kernels know them by their place
 Colour = tuple[float, float, float]  # 0 to 1
 
@@ -40,8 +40,8 @@ def plaster(rng: np.random.Generator, hue: float = 0.1) -> Material:
     """A painted wall or ceiling with blotches."""
     u = rng.uniform(-1, 1, 3)
     light = hsv(hue + 0.05 * u[0], 0.18 + 0.08 * u[1], 0.74 + 0.06 * u[2])
-    dark = hsv(hue + 0.03, 0.25, 0.52)
-    return Material(light, dark, "print", 0.22, 0.2, 0.35, _place(rng))
+    dark = hsv(hue + 0.03, 0.25, 0.6)
+    return Material(light, dark, "clouds", 0.22, 0.2, 0.35, _place(rng))
 
 
 def wallpaper(rng: np.random.Generator, hue: float) -> Material:
@@ -67,7 +67,7 @@ def wood(rng: np.random.Generator, value: float = 0.55) -> Material:
 def lacquer(rng: np.random.Generator, value: float = 0.75) -> Material:
     """A painted surface of any hue, little saturated."""
     u = rng.uniform(0, 1, 2)
-    return Material(hsv(u[0], 0.2, value), hsv(u[0] + 0.1, 0.3, 0.7 * value), "print", 0.12, 0.2, 0.15, _place(rng))
+    return Material(hsv(u[0], 0.2, value), hsv(u[0] + 0.1, 0.3, 0.7 * value), "clouds", 0.12, 0.2, 0.15, _place(rng))
 
 
 def paint(rng: np.random.Generator) -> Material:
@@ -96,20 +96,20 @@ def fabric(rng: np.random.Generator) -> Material:
 
 def metal(rng: np.random.Generator, value: float = 0.62) -> Material:
     """Brushed and spotted."""
-    return Material(hsv(0.6, 0.06, value), hsv(0.58, 0.1, 0.65 * value), "print", 0.05, 0.22, 0.06, _place(rng))
+    return Material(hsv(0.6, 0.06, value), hsv(0.58, 0.1, 0.65 * value), "clouds", 0.05, 0.22, 0.06, _place(rng))
 
 
 def plastic(rng: np.random.Generator, value: float = 0.2) -> Material:
     """Dark or light plastic with marks."""
     hue = float(rng.uniform())
     second = 0.75 if value < 0.4 else 0.35
-    return Material(hsv(hue, 0.15, value), hsv(hue, 0.2, second * value + 0.12), "print", 0.04, 0.3, 0.06, _place(rng))
+    return Material(hsv(hue, 0.15, value), hsv(hue, 0.2, second * value + 0.12), "clouds", 0.04, 0.3, 0.06, _place(rng))
 
 
 def plain(rng: np.random.Generator, hue: float, saturation: float, value: float) -> Material:
     """One colour with grain and darker spots of it."""
     first = hsv(hue + 0.02 * float(rng.uniform(-1, 1)), saturation, value)
-    return Material(first, hsv(hue, saturation, 0.65 * value), "print", 0.03, 0.22, 0.05, _place(rng))
+    return Material(first, hsv(hue, saturation, 0.65 * value), "clouds", 0.03, 0.22, 0.05, _place(rng))
 
 
 def picture(rng: np.random.Generator) -> Material:
@@ -118,6 +118,12 @@ def picture(rng: np.random.Generator) -> Material:
     return Material(
         hsv(u[0], 0.55, 0.75), hsv(u[0] + 0.3 + 0.3 * u[1], 0.6, 0.45), "print", 0.12, 0.35, 0.12, _place(rng)
     )
+
+
+def outdoors(rng: np.random.Generator) -> Material:
+    """What a window shows: sky and leaves."""
+    u = rng.uniform(0, 1, 2)
+    return Material(hsv(0.57, 0.3, 0.92), hsv(0.28 + 0.08 * u[0], 0.5, 0.55), "print", 0.16, 0.25, 0.12, _place(rng))
 
 
 def printed(rng: np.random.Generator) -> Material:

@@ -12,8 +12,8 @@ from vlmm_log.simulation.shapes import Shape, assembled, solid
 from vlmm_log.simulation.things import Body, Thing
 
 HIP, KNEE, SHOULDER, ELBOW = 0.88, 0.43, 1.4, 0.29  # m: heights of hip and shoulder; lengths of thigh and upper arm
-STRIDE_S = 1.15  # two steps
-LEG, ARM = 0.32, 0.38  # rad of swing
+STRIDE_S = 1.5  # two steps
+LEG, ARM = 0.21, 0.26  # rad of swing
 
 
 def walker(rng: np.random.Generator, walk: Walk) -> Thing:
@@ -36,7 +36,7 @@ def walker(rng: np.random.Generator, walk: Walk) -> Thing:
     ]
     for side, phase in ((1, p), (-1, p + np.pi)):
         hip = Swing(walk, np.array([0.0, 0.1 * side, HIP]), LEG, rate, phase)
-        knee = Swing(hip, np.array([0.0, 0, -KNEE]), 0.25, rate, phase + 1.4, 0.3)
+        knee = Swing(hip, np.array([0.0, 0, -KNEE]), 0.15, rate, phase + 1.4, 0.2)
         shoulder = Swing(torso, np.array([0.0, 0.235 * side, SHOULDER]), ARM, rate, phase + np.pi)
         elbow = Swing(shoulder, np.array([0.0, 0, -ELBOW]), 0.15, rate, phase + np.pi, -0.35)
         bodies += [_body(_limb(0.085, 0.062, KNEE, trousers), hip), _body(_shank(trousers, hair), knee)]
