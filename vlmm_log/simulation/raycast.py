@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from vlmm_log import se3
-from vlmm_log.simulation.kernels import Lens, Looks, cast_rays, merge
+from vlmm_log.simulation.kernels import Lens, cast_rays, merge
 from vlmm_log.simulation.materials import PATTERNS
 from vlmm_log.simulation.meshes import Mesh, moved
 from vlmm_log.simulation.motions import Motion
+from vlmm_log.simulation.shading import Looks
 from vlmm_log.simulation.shapes import Piece, put
 from vlmm_log.simulation.things import HandHeld, Scene
 from vlmm_log.types import Float32, Float64, InputError, Int32, UInt16

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from vlmm_log import se3
-from vlmm_log.simulation.kernels import Lens, follow, incidence, lattice, shade
+from vlmm_log.simulation.following import follow
+from vlmm_log.simulation.kernels import Lens, incidence
 from vlmm_log.simulation.noise import DepthNoise, measured
 from vlmm_log.simulation.raycast import Exposure, Hits, World, cast, exposure
+from vlmm_log.simulation.shading import lattice, shade
 from vlmm_log.types import Float32, Float64, UInt8, UInt16, freeze
 
 FPS = 30
