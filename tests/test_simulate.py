@@ -336,6 +336,12 @@ def test_what_cannot_be_is_refused(tmp_path, wrong):
     assert not list(tmp_path.iterdir())
 
 
+def test_without_open3d_it_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(InputError, match=r"pip install 'vlmm-log\[sim\]'"):
+        simulate("kitchen", tmp_path / "a", frames=1, size=(16, 20))
+
+
 def ran(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [str(Path(sys.executable).with_name("vlmm-log")), "simulate", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120)
