@@ -60,6 +60,7 @@ def elements(rng: np.random.Generator) -> Elements:
         rho=rng.random(N),
         motion_class=np.where(moving, 2, rng.integers(2, size=N)).astype(np.uint8),
         speed=np.where(moving, rng.random(N), 0).astype(np.float32),
+        p_moving=np.full(N, np.nan, np.float32),
         observations=rng.integers(1, 50, N).astype(np.int32),
         pixels=rng.integers(150, 9000, N).astype(np.int32),
         first_ns=np.zeros(N, np.int64),

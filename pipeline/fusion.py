@@ -8,19 +8,34 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from vlmm_log.calibration import Curve
 from vlmm_log.elements import OBSERVATION, Element, Evidence, MotionClass, Observations, WorldMap
 from vlmm_log.protocols import MovabilityPrior
 from vlmm_log.settings import MapSettings
-from vlmm_log.types import Float32, Int64
+from vlmm_log.types import Float32, Float64, Int64
 
 
-def fuse(world: WorldMap, prior: MovabilityPrior, s: MapSettings) -> WorldMap:
-    """The map with the attributes of its touched elements brought up to date."""
+def fuse(world: WorldMap, prior: MovabilityPrior, s: MapSettings, curve: Curve | None = None) -> WorldMap:
+    """The map with the attributes of its touched elements brought up to date.
+
+    ``curve`` makes probabilities of motion evidence; without one they are NaN.
+    """
     elements = dict(world.elements)
     for i in world.touched:
         if world.evidence[i].feature_pixels >= s.min_pixels:
-            elements[i] = attributes(world.evidence[i], prior, s)
+            elements[i] = attributes(world.evidence[i], prior, s, curve)
     return replace(world, elements=elements)
+
+
+def motion_strength(score: Float32 | Float64 | float, tau_o: float) -> Float32 | Float64:
+    """How strongly things of these scores moved, in [0, 1): 1/2 at tau_o."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(score / (score + max(tau_o, 1e-6)))
+
+
+def motion_evidence(has_moved: NDArray[np.bool_] | bool, score: Float32 | Float64 | float, tau_o: float) -> Float64:
+    """By which elements are ranked as movers, in [0, 2): whether they have the class or an interval, then how much."""
+    return np.asarray(has_moved + motion_strength(score, tau_o), np.float64)
 
 
 def classify(o: float, kappa: float, rho: float, s: MapSettings) -> tuple[MotionClass, float]:
@@ -32,7 +47,7 @@ def classify(o: float, kappa: float, rho: float, s: MapSettings) -> tuple[Motion
     return MotionClass.STATIC, 1.0 - rho
 
 
-def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings) -> Element:
+def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings, curve: Curve | None = None) -> Element:
     """What all observations of an element together say."""
     seen = evidence.observations
     label = evidence.label
@@ -46,6 +61,8 @@ def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings) -> El
     weight = float(kappas.sum())
     pairs = 1 if motion_class is MotionClass.MOVING else s.interval_pairs  # what moves as a rule needs no more proof
     intervals = motion_intervals(seen, moved, pairs)
+    score = float(kappas @ sigmas) / s.o_unit / weight if weight else 0.0
+    has_moved = motion_class is MotionClass.MOVING or intervals.size > 0
     return Element(
         evidence,
         label,
@@ -58,9 +75,10 @@ def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings) -> El
         motion_class,
         confidence,
         float(chdtrc(3, median**2)),
-        float(kappas @ sigmas) / s.o_unit / weight if weight else 0.0,
+        score,
         _speed(seen[moved & _within(seen, intervals)]) if intervals.size else 0.0,
         intervals,
+        float("nan") if curve is None else float(curve(motion_evidence(has_moved, score, s.tau_o))),
     )
 
 

@@ -18,6 +18,7 @@ from vlmm_log.pipeline.matches import match
 from vlmm_log.pipeline.motion import measure_motion
 from vlmm_log.pipeline.objects import aggregate
 from vlmm_log.pipeline.odometry import locate
+from vlmm_log.pipeline.posterior import posterior
 from vlmm_log.pipeline.tracks import Tracks, associate, remember
 from vlmm_log.pipeline.world_map import empty_map, seen_background, update
 from vlmm_log.protocols import Models, Observe, unseen
@@ -49,6 +50,9 @@ def step(pair: FramePair, world: World, models: Models, s: Settings, observe: Ob
     matches = observe(match(pair, flow, s.gate, s.noise))
     ego = observe(refine_ego(matches, segments, s.ego, randomness(s.seed, pair)))
     motion = observe(measure_motion(matches, ego))
+    curves = models.calibration
+    if curves is not None:
+        observe(posterior(motion, curves.pixel))
     odometry = observe(locate(pair, ego, world.odometry))
     sightings = observe(aggregate(pair, segments, motion, ego, odometry, s.objects))
     features = observe(Features(models.embed.regions(pair.first, segments)))
@@ -61,7 +65,8 @@ def step(pair: FramePair, world: World, models: Models, s: Settings, observe: Ob
     if not ego.reliable:  # told by ``ego``; nothing of it enters the map
         return after
     background = seen_background(pair, motion, odometry, s.map.voxel_m)
-    return replace(after, map=observe(fuse(update(world.map, tracked, background), models.prior, s.map)))
+    grown, curve = update(world.map, tracked, background), None if curves is None else curves.element
+    return replace(after, map=observe(fuse(grown, models.prior, s.map, curve)))
 
 
 @dataclass

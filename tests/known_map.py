@@ -64,6 +64,7 @@ def known_map(rows=ROWS):
         p_stat=np.full(n, 0.5, np.float32),
         score=np.array(score, np.float32),
         speed=np.array(speed, np.float32),
+        p_moving=np.full(n, NAN, np.float32),
         observations=np.array(observations, np.int32),
         pixels=np.full(n, 500, np.int32),
         first_ns=np.array([ORIGIN_NS + (5 * S if i == 3 else 0) for i in ids], np.int64),

@@ -167,6 +167,7 @@ def fused(draw, id_, width):
         rho_source=draw(texts),
         motion_class=draw(st.sampled_from(MotionClass)),
         intervals=draw(spans),
+        p_moving=draw(st.just(float("nan")) | st.floats(0, 1)),
         **numbers,
     )
 

@@ -24,7 +24,7 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/outputs.py": {"types"},
     "vlmm_log/ros": {"types", "ros"},
     "vlmm_log/maps": GROUND | {"maps", "outputs"},
-    "vlmm_log/protocols.py": {"types", "elements", "queries", "settings"},
+    "vlmm_log/protocols.py": {"types", "elements", "queries", "settings", "calibration"},
     "readers": GROUND | {"readers"},
     "pipeline": GROUND | {"pipeline"},
     "vlmm_log/models": GROUND | {"models"},

@@ -147,7 +147,7 @@ def _fields(e: Elements, r: int) -> dict[str, Any]:
         "kappa": float(e.kappa[r]),
         "rho": float(e.rho[r]),
         "intervals_ns": e.intervals[e.interval_rows == r].tolist(),
-    }
+    } | ({} if np.isnan(e.p_moving[r]) else {"p_moving": float(e.p_moving[r])})
 
 
 def find(

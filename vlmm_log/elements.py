@@ -70,6 +70,12 @@ class MotionClass(IntEnum):
     MOVING = 2
 
 
+def class_posterior(p_moving: Float32, rho: Float64) -> Float32:
+    """(3, ...) probabilities of the classes in their order: moving, else movable by the prior, else static."""
+    still = 1.0 - p_moving
+    return np.array([still * (1.0 - rho), still * rho, p_moving], np.float32)
+
+
 CLASS_COLORS: dict[MotionClass, tuple[int, int, int]] = {  # told apart also by the colour-blind (Okabe and Ito)
     MotionClass.STATIC: (0, 114, 178),
     MotionClass.MOVABLE_STATIC: (230, 159, 0),
@@ -123,6 +129,7 @@ class Element:
     score: float  # kappa-weighted mean of o: does not forget a mover that mostly stood still
     speed: float  # m/s: median of |drift| / time over the observations in intervals; 0 if there is none
     intervals: Int64  # (m, 2) ns, spans in which it was observed to move
+    p_moving: float = float("nan")  # probability that it has moved, calibrated; NaN without a calibration
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -170,6 +177,7 @@ class Elements:
     p_stat: Float32
     score: Float32
     speed: Float32
+    p_moving: Float32
     observations: Int32  # how many
     pixels: Int32  # most in one frame
     first_ns: Int64  # first and last time seen
@@ -208,6 +216,7 @@ def columns(elements: Iterable[Element]) -> Elements:
         p_stat=each("p_stat"),
         score=each("score"),
         speed=each("speed"),
+        p_moving=each("p_moving"),
         observations=np.array([o.size for o in seen], np.int32),
         pixels=np.array([e.evidence.feature_pixels for e in rows], np.int32),
         first_ns=np.array([o["first_ns"][0] for o in seen], np.int64),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+from vlmm_log.calibration import Calibration
 from vlmm_log.elements import Movability, Sightings, Tracked, WorldMap
 from vlmm_log.queries import Answer
 from vlmm_log.settings import ReadSettings
@@ -17,8 +18,10 @@ from vlmm_log.types import (
     FlowField,
     Frame,
     FramePair,
+    Judgement,
     Motion,
     Odometry,
+    Posterior,
     RunEnd,
     Segments,
     Skipped,
@@ -31,12 +34,14 @@ Result = (
     | Segments
     | Ego
     | Motion
+    | Posterior
     | Odometry
     | Features
     | Sightings
     | Tracked
     | WorldMap
     | Answer
+    | Judgement
 )
 """What a stage, or the stream before it, gives a sink to see."""
 
@@ -142,6 +147,7 @@ class Models:
     reports: tuple[
         Callable[[], str], ...
     ] = ()  # what a model has to tell at the end: an endpoint's cost, a cache's use
+    calibration: Calibration | None = None  # from scores to probabilities; None: no probability is told
 
 
 @dataclass(frozen=True)

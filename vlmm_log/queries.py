@@ -25,8 +25,8 @@ JSON form (``to_json``, ``from_json``); a parser of any kind may emit it::
     Times are seconds from the map's first stamp; a negative one counts back from its last.
     Fields: o (observed motion, 1 for a still thing), kappa (its reliability), rho (movability prior), confidence (of
     the class), p_stat (static-consistency p-value), score (kappa-weighted o), speed (m/s, of what moved),
-    observations, pixels, motions (how often it moved), moved_s (for how long), first_s, last_s, size_m, height_m,
-    distance_m (to the camera).
+    p_moving (probability that it has moved, in calibrated maps), observations, pixels, motions (how often it moved),
+    moved_s (for how long), first_s, last_s, size_m, height_m, distance_m (to the camera).
 
     "the three fastest chairs that are not near the door, after 3 s":
     {"filter": {"type": "all", "nodes": [{"type": "named", "text": "chair"}, {"type": "moved", "t0_s": 3},

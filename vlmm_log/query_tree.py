@@ -14,7 +14,7 @@ from typing import NoReturn
 from vlmm_log.types import InputError
 
 FIELDS = (
-    *("o", "kappa", "rho", "confidence", "p_stat", "score", "speed", "observations", "pixels"),
+    *("o", "kappa", "rho", "confidence", "p_stat", "score", "speed", "p_moving", "observations", "pixels"),
     *("motions", "moved_s", "first_s", "last_s", "size_m", "height_m", "distance_m"),
 )
 """What can be compared and ordered by. size_m is the diagonal of a box with the element's covariance."""

@@ -211,6 +211,13 @@ class MapSettings:
 
 
 @dataclass(frozen=True)
+class CalibrationSettings:
+    """From scores to probabilities."""
+
+    file: str = knob("", "calibration that gives p_moving of pixels and elements, as `eval --calibrate` writes it")
+
+
+@dataclass(frozen=True)
 class QuerySettings:
     """Language."""
 
@@ -263,6 +270,7 @@ class Settings:
     objects: ObjectSettings = ObjectSettings()
     tracks: TrackSettings = TrackSettings()
     map: MapSettings = MapSettings()
+    calibration: CalibrationSettings = CalibrationSettings()
     query: QuerySettings = QuerySettings()
     grid: GridSettings = GridSettings()
     log: LogSettings = LogSettings()

@@ -8,7 +8,7 @@ of a pair lie on the pixel grid of its first frame. Arrays inside these types ar
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
@@ -199,6 +199,40 @@ class Motion:
     def _median(self, values: Float32) -> float:
         some = values[::2, ::2][self.validity[::2, ::2] == Validity.VALID]
         return float(np.median(some)) if some.size else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """How likely each pixel moved, by a calibration."""
+
+    p_moving: Float32  # (H, W) in [0, 1]; NaN where not valid
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+class Outcome(IntEnum):
+    """What became of a pixel whose truth is known."""
+
+    QUIET = 0  # static, not flagged
+    HIT = 1  # moving, flagged
+    MISS = 2  # moving, scored, not flagged
+    LOST = 3  # moving, not scored
+    FALSE_FLAG = 4  # static, flagged
+    IGNORED = 5  # no truth
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """A pair's score against the truth, on the first frame's grid."""
+
+    truth: UInt8  # (H, W) 0 static, 128 ignored, 255 moving
+    outcome: UInt8  # (H, W) Outcome
+    score: Float32  # (H, W) what was judged, in its own unit; NaN where not scored
+    figures: Mapping[str, float]  # metrics of the pair by name
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlmm_log.elements import MotionClass
+from vlmm_log.pipeline.fusion import motion_strength
 from vlmm_log.pipeline.language.scene import Column, Scene, values, window
 from vlmm_log.query_tree import Class, Compare, Moved, Named, Seen
 from vlmm_log.types import Float32, Float64
@@ -82,8 +83,7 @@ def moved(node: Moved, scene: Scene) -> Truth:
         parts = [class_why(scene, row)] if ever else []
         return ", ".join([*parts, f"moved {told}" if told else "no motion interval" + ("" if ever else " then")])
 
-    with np.errstate(invalid="ignore"):
-        strength = e.score / (e.score + max(scene.fusion.tau_o, 1e-6))
+    strength = motion_strength(e.score, scene.fusion.tau_o)
     return graded(scene.has_moved if ever else yes, np.ones_like(yes), strength, why)
 
 

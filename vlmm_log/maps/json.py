@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 from functools import partial
+from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ LARGEST = 2**31  # bytes; the reader needs ten times as much memory
 FUSED = ("id", "label", "position", "extent", "motion_class", "confidence", "observed_motion", "movability_prior")
 SEEN = ("votes", "feature_pixels", "feature_index", "semantic_feat", "observations")
 MOTION = ("o", "kappa", "p_stat", "score", "speed", "intervals")
+CALIBRATED = "p_moving"  # of the motion, where a calibration gave it
 CELLS = ("x", "y", "z", "points", "red", "green", "blue")
 compact = partial(json.dumps, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
@@ -86,6 +88,7 @@ def _listed(name: str, objects: Iterable[object]) -> Iterator[str]:
 
 def _element_object(e: Element) -> dict[str, object]:
     motion = (*(float(x) for x in (e.o, e.kappa, e.p_stat, e.score, e.speed)), e.intervals.tolist())
+    calibrated = {} if isnan(e.p_moving) else {CALIBRATED: float(e.p_moving)}
     fused = (
         int(e.id),
         e.label,
@@ -93,7 +96,7 @@ def _element_object(e: Element) -> dict[str, object]:
         shortest(e.extent).tolist(),
         MotionClass(e.motion_class).name,
         float(e.confidence),
-        dict(zip(MOTION, motion, strict=True)),
+        dict(zip(MOTION, motion, strict=True)) | calibrated,
         {"rho": float(e.rho), "source": e.rho_source},
     )
     return dict(zip(FUSED, fused, strict=True)) | _evidence_object(e.evidence)
@@ -144,7 +147,8 @@ def _no_number(text: str) -> object:
 def _element(field: Field) -> Element:
     members = field.members((*FUSED, *SEEN))
     id_, label, position, extent, motion_class, confidence, motion, prior = members[: len(FUSED)]
-    o, kappa, p_stat, score, speed, intervals = motion.members(MOTION)
+    known = (*MOTION, CALIBRATED) if CALIBRATED in motion.names() else MOTION
+    o, kappa, p_stat, score, speed, intervals, *p_moving = motion.members(known)
     rho, source = prior.members(("rho", "source"))
     if motion_class.text() not in MotionClass.__members__:
         raise motion_class.wrong(f"is none of {', '.join(MotionClass.__members__)}")
@@ -163,6 +167,7 @@ def _element(field: Field) -> Element:
         score=score.number(),
         speed=speed.number(),
         intervals=intervals.integers(2),
+        p_moving=p_moving[0].number() if p_moving else nan,
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
+from math import isnan
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from vlmm_log.background import Background
 from vlmm_log.elements import OBSERVATION, Element, Evidence, MotionClass, Observations, WorldMap
 from vlmm_log.maps.fields import Field, twice
 from vlmm_log.maps.header import NAMES, check_version, header, read_header
-from vlmm_log.maps.parquet_schema import OBSERVATIONS, SCALARS, schema
+from vlmm_log.maps.parquet_schema import CALIBRATED, OBSERVATIONS, SCALARS, schema
 from vlmm_log.maps.saved import SavedMap
 from vlmm_log.maps.seal import seal, sealed
 from vlmm_log.types import Float32, InputError
@@ -64,12 +65,13 @@ def _table(saved: SavedMap) -> pa.Table:
     elements = [world.elements[i] for i in sorted(world.elements)]
     evidence = [e.evidence for e in elements] + pending
     nulls = [None] * len(pending)
+    scalars = SCALARS if all(isnan(e.p_moving) for e in elements) else CALIBRATED
     columns: dict[str, object] = {
         "id": [e.id for e in evidence],
         "position": [e.position for e in elements] + nulls,
         "extent": [e.extent for e in elements] + nulls,
         "motion_class": [MotionClass(e.motion_class).name for e in elements] + nulls,
-        **{name: [getattr(e, name) for e in elements] + nulls for name in SCALARS},
+        **{name: [getattr(e, name) for e in elements] + nulls for name in scalars},
         "intervals": [[tuple(span) for span in e.intervals.tolist()] for e in elements] + nulls,
         "votes": [sorted((name, int(n)) for name, n in e.votes.items()) for e in evidence],
         "feature_pixels": [e.feature_pixels for e in evidence],
@@ -77,7 +79,7 @@ def _table(saved: SavedMap) -> pa.Table:
         "semantic_feat": [e.feature for e in evidence],
         "observations": _observation_lists([e.observations for e in evidence]),
     }
-    kinds = schema(saved.feature_width)
+    kinds = schema(saved.feature_width, scalars)
     arrays = [
         values if isinstance(values, pa.Array) else pa.array(values, kinds.field(name).type)
         for name, values in columns.items()
@@ -115,11 +117,12 @@ def _told(file: pq.ParquetFile, path: Path) -> Field:
 def _checked_table(file: pq.ParquetFile, path: Path, width: int) -> pa.Table:
     if not 0 <= width <= MOST_VALUES:
         raise InputError(f"{path}: feature_width: {width} is out of range")
-    for found, wanted in zip(file.schema_arrow, schema(width), strict=False):
+    known = schema(width, CALIBRATED if "p_moving" in file.schema_arrow.names else SCALARS)
+    for found, wanted in zip(file.schema_arrow, known, strict=False):
         if not found.equals(wanted):
             raise InputError(f"{path}: column {found.name}: is {found.type}, not {wanted.name}: {wanted.type}")
-    if len(file.schema_arrow) != len(schema(width)):
-        raise InputError(f"{path}: has {len(file.schema_arrow)} columns, not {len(schema(width))}")
+    if len(file.schema_arrow) != len(known):
+        raise InputError(f"{path}: has {len(file.schema_arrow)} columns, not {len(known)}")
     groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
     for k in range(file.metadata.num_columns):
         if sum(group.column(k).num_values for group in groups) > MOST_VALUES:
@@ -171,7 +174,8 @@ def _observations(structs: pa.StructArray) -> Observations:
 
 
 def _elements(table: pa.Table, evidence: list[Evidence], path: Path) -> dict[int, Element]:
-    names = ["position", "extent", "motion_class", *SCALARS, "intervals"]
+    scalars = [name for name in CALIBRATED if name in table.column_names]
+    names = ["position", "extent", "motion_class", *scalars, "intervals"]
     elements = {}
     for e, row in zip(evidence, table.select(names).to_pylist(), strict=True):
         missing = [name for name in names if row[name] is None]
@@ -187,7 +191,7 @@ def _elements(table: pa.Table, evidence: list[Evidence], path: Path) -> dict[int
             extent=np.array(row["extent"], np.float32),
             motion_class=MotionClass[row["motion_class"]],
             intervals=np.array([(s["start_ns"], s["stop_ns"]) for s in row["intervals"]], np.int64).reshape(-1, 2),
-            **{name: row[name] for name in SCALARS},
+            **{name: row[name] for name in scalars},
         )
     return elements
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ SCALARS = {  # columns of the fused part that are fields of Element
     "rho_source": pa.string(),
     "confidence": pa.float64(),
 }
+CALIBRATED = {**SCALARS, "p_moving": pa.float64()}  # of a run with a calibration
 
 
 def _vector(kind: pa.DataType, length: int) -> pa.DataType:
@@ -43,13 +45,13 @@ def _of_numpy(kind: np.dtype[Any]) -> pa.DataType:
 OBSERVATIONS = _rows(_struct(**{name: _of_numpy(OBSERVATION[name]) for name in OBSERVATION.names or ()}))
 
 
-def schema(feature_width: int) -> pa.Schema:
+def schema(feature_width: int, scalars: Mapping[str, pa.DataType] = SCALARS) -> pa.Schema:
     """Columns of a map whose semantic features have so many numbers."""
     fused = {
         "position": _vector(pa.float32(), 3),
         "extent": _vector(pa.float32(), 6),
         "motion_class": pa.string(),
-        **SCALARS,
+        **scalars,
         "intervals": _rows(_struct(start_ns=pa.int64(), stop_ns=pa.int64())),
     }
     seen = {

@@ -96,6 +96,8 @@ def _element_faults(e: Element) -> Iterator[str]:
     for name in FUSED:
         if not np.all(np.abs(getattr(e, name)) <= LARGEST):
             yield f"{name}: is not finite, or too large"
+    if e.p_moving == e.p_moving and not 0 <= e.p_moving <= 1:
+        yield "p_moving: is no probability"
 
 
 def _background_faults(b: Background) -> Iterator[str]:

@@ -100,7 +100,8 @@ A null target is the camera, a null metres the usual distance, a null time open.
 negative one counts back from the end.
 ORDER is {{"field": FIELD, "direction": "most" or "least", "target": NODE or null}}; only distance_m has a target.
 FIELD is one of {", ".join(FIELDS)}: o is observed motion (1 for a still object), kappa its reliability, rho \
-movability, score motion over all times, speed m/s, motions how often it moved, moved_s for how long, first_s and \
-last_s when it was seen, size_m, height_m along the upward axis, distance_m to the camera.
+movability, score motion over all times, speed m/s, p_moving the probability that it has moved, motions how often it \
+moved, moved_s for how long, first_s and last_s when it was seen, size_m, height_m along the upward axis, distance_m \
+to the camera.
 Return "mask" for a question of where, "count" for how many."""
 PROMPT = _prompt()

@@ -38,10 +38,15 @@ def _add(h: xxhash.xxh3_64, value: object) -> None:
         case _ if hasattr(value, "__dataclass_fields__"):
             for name in value.__dataclass_fields__:
                 part = getattr(value, name)
-                if not isinstance(part, INPUTS) and not callable(part):
+                if not isinstance(part, INPUTS) and not callable(part) and not _unknown(name, part):
                     _add(h, part)
         case _:
             _text(h, repr(value))
+
+
+def _unknown(name: str, part: object) -> bool:
+    """Whether a run without a calibration left the column open: its digests are those of before there was one."""
+    return name == "p_moving" and isinstance(part, np.ndarray) and part.ndim == 1 and bool(np.isnan(part).all())
 
 
 def _text(h: xxhash.xxh3_64, text: str) -> None:
