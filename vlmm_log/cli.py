@@ -96,6 +96,7 @@ def _settings(
 @click.option("--embedder", metavar="NAME", help="words (default), clip, maskclip; clip:WEIGHTS.")
 @click.option("--prior", metavar="NAME", help="Movability prior: table (default) or llm:URL.")
 @click.option("--gap", metavar="K", help="Distance of a pair: frames (3) or seconds (0.1s).")
+@click.option("--calibration", help="File of eval --calibrate: p_moving of pixels and elements.")
 @click.option("--dense", is_flag=True, help="Write full float32 tensors and covariances.")
 @click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
 @click.option("--json", "as_json", is_flag=True, help="Print the closing figures as JSON.")
@@ -115,6 +116,7 @@ def process(
     embedder: str | None,
     prior: str | None,
     gap: str | None,
+    calibration: str | None,
     topics: str | None,
     start: float | None,
     stop: float | None,
@@ -144,6 +146,7 @@ def process(
         objects__embedder=embedder,
         objects__prior=prior,
         keyframes__gap=int(gap) if gap and len(gap) < 5 and gap.isascii() and gap.isdigit() else gap,
+        calibration__file=calibration,
         log__dense=True if dense else None,
     )
     if rrd is None and mcap is None:

@@ -111,6 +111,7 @@ ROWS = {  # figure -> what the table calls it, how it is written
     "matches_ms": ("noise of the matches", "{:.1f} ms"),
     "ego_ms": ("ego-refinement", "{:.1f} ms"),
     "motion_ms": ("motion channel", "{:.1f} ms"),
+    "posterior_ms": ("calibrated probabilities", "{:.1f} ms"),
     "segments_ms": ("segmenter", "{:.1f} ms"),
     "embed_ms": ("embedder", "{:.1f} ms"),
     "aggregate_ms": ("observations", "{:.1f} ms"),

@@ -13,7 +13,7 @@ from vlmm_log.entries import Column, Table
 
 NEAR_M = 0.5  # elements of different ids that are farther apart are not the same
 OTHER_LABEL = 1.0  # what a different label costs, in NEAR_M: only one of the same place outweighs it
-FIGURES = ("o", "kappa", "rho", "confidence", "score", "speed", "p_stat")
+FIGURES = ("o", "kappa", "rho", "confidence", "score", "speed", "p_stat", "p_moving")
 TEXTS = ("rho_source",)
 Columns = Mapping[str, Column]
 
@@ -91,7 +91,7 @@ def _change(a: Columns, b: Columns, i: int, j: int, atol: float, rtol: float) ->
     figures += ["observations"] if int(a["observations"][i]) != int(b["observations"][j]) else []
     if figures:
         kinds.append("changed")
-        told += [f"{name} {_short(a[name][i])} -> {_short(b[name][j])}" for name in figures]
+        told += [f"{name} {_short(a, name, i)} -> {_short(b, name, j)}" for name in figures]
     ids = int(a["element_id"][i]), int(b["element_id"][j])
     if not kinds and ids[0] == ids[1]:
         return None
@@ -100,6 +100,9 @@ def _change(a: Columns, b: Columns, i: int, j: int, atol: float, rtol: float) ->
 
 
 def _figure(columns: Columns, name: str, row: int) -> NDArray[Any]:
+    """One figure; NaN where the run gave none."""
+    if name not in columns:
+        return np.full(1, np.nan)
     return np.asarray(columns[name], np.float64)[row : row + 1]
 
 
@@ -108,7 +111,8 @@ def _beyond(a: NDArray[Any], b: NDArray[Any], atol: float, rtol: float) -> bool:
     return bool((~(np.abs(a - b) <= atol + rtol * np.abs(b)) & ~both_nan).any())
 
 
-def _short(value: Any) -> str:
+def _short(columns: Columns, name: str, row: int) -> str:
+    value = columns[name][row] if name in columns else float("nan")
     return f"{value:.3g}" if isinstance(value, float | np.floating) else str(value)
 
 

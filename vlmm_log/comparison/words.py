@@ -16,12 +16,14 @@ STAGES = {  # what a stage does, for those who do not know its name
     "matches": "gate and noise model of the matches",
     "ego": "ego-refinement",
     "motion": "residual, Sigma and d_M",
+    "posterior": "calibrated probabilities of pixels",
     "odometry": "camera poses",
     "aggregate": "observations of instances",
     "embed": "semantic features",
     "associate": "association of instances and elements",
     "map": "map and fusion",
     "query": "answers",
+    "judge": "the score against the truth",
 }
 MOST = 8  # elements that are named in a line
 HISTORY = re.compile(r"world/map/elements/\d+(/\w+)?")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from vlmm_log.background import Background, empty_background
-from vlmm_log.elements import OBSERVATION, Evidence, Movability, WorldMap
+from vlmm_log.elements import OBSERVATION, Element, Evidence, Movability, WorldMap
 from vlmm_log.entries import Cloud, Column, Labels, Pose, Table, Value
 from vlmm_log.maps.saved import SavedMap
 from vlmm_log.pipeline.fusion import fuse
@@ -57,6 +57,7 @@ class _Rows:
     evidence: dict[int, list[Evidence]] = field(default_factory=dict)  # one observation each
     features: dict[tuple[int, int], Float32] = field(default_factory=dict)  # by element and frame
     priors: dict[str, Movability] = field(default_factory=dict)
+    probabilities: dict[int, tuple[int, float]] = field(default_factory=dict)  # of calibrated elements: see _judge
     cloud: tuple[int, Cloud] | None = None  # time, the largest
     cameras: list[tuple[int, Float64]] = field(default_factory=list)  # time ns, T_world_cam
 
@@ -81,6 +82,11 @@ class _Rows:
     def _judge(self, columns: Mapping[str, Column], _: int) -> None:
         for label, rho, source in zip(*(columns[name] for name in ("label", "rho", "rho_source")), strict=True):
             self.priors[str(label)] = Movability(float(rho), str(source))
+        names = ("element_id", "observations", "p_moving")
+        if "p_moving" in columns:  # kept with the number of observations behind it
+            for i, seen, p in zip(*(np.asarray(columns[name]).tolist() for name in names), strict=True):
+                if seen >= self.probabilities.get(i, (0, 0.0))[0]:
+                    self.probabilities[i] = int(seen), float(p)
 
     def _observe(self, columns: Mapping[str, Column], _: int) -> None:
         ids = np.asarray(columns["element_id"])
@@ -105,7 +111,14 @@ def _world(rows: _Rows, s: MapSettings) -> WorldMap:
         evidence[i] = Evidence(i, whole.votes, whole.observations, feature, whole.feature_pixels, whole.feature_index)
     background = _background(rows, s.voxel_m)
     bare = WorldMap(evidence, {}, (background,), tuple(evidence))
-    return fuse(bare, lambda label: rows.priors.get(label, Movability(0.5, "unknown")), s)
+    fused = fuse(bare, lambda label: rows.priors.get(label, Movability(0.5, "unknown")), s)
+    return replace(fused, elements={i: _calibrated(e, rows) for i, e in fused.elements.items()})
+
+
+def _calibrated(e: Element, rows: _Rows) -> Element:
+    """With the probability that the run gave it: its curves need not be at hand. NaN where it was cut off before."""
+    seen, p_moving = rows.probabilities.get(e.id, (0, float("nan")))
+    return replace(e, p_moving=p_moving) if seen == e.evidence.observations.size else e
 
 
 def _background(rows: _Rows, voxel_m: float) -> Background:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import rerun.blueprint as rrb
 
 from vlmm_log.sinks.pair_entries import IMAGE
 
+CALIBRATED = ("residual/p_moving",)
+JUDGED = ("outcome", "truth", "score")
 
-def default_blueprint() -> rrb.Blueprint:
-    """The world, the images, the motion channel, plots and the log."""
+
+def default_blueprint(images: Sequence[str] = ()) -> rrb.Blueprint:
+    """The world, the images, the motion channel, plots and the log; a tab for each image that few recordings hold."""
     # A depth image under a pinhole is back-projected into any 3-D view that includes it, d_M too: name them all.
     space = rrb.Spatial3DView(
         name="world",
@@ -36,6 +41,7 @@ def default_blueprint() -> rrb.Blueprint:
     more = rrb.Horizontal(
         _image("depth", "depth"), _image("forward-backward error", "flow/fb_error"), _flow_arrows(), name="input"
     )
+    few = [_image(path.rsplit("/", 1)[-1], path) for path in images]
     numbers = rrb.Tabs(
         rrb.StateTimelineView(name="elements: class, and moves or still", origin="world/map/elements"),
         rrb.TimeSeriesView(name="o of elements, sigmas", origin="world/map/elements", contents="$origin/*/o"),
@@ -59,7 +65,10 @@ def default_blueprint() -> rrb.Blueprint:
     )
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(space, rgb), motion, rrb.Horizontal(rrb.Tabs(noise, more), numbers), row_shares=[3, 2, 2]
+            rrb.Horizontal(space, rgb),
+            motion,
+            rrb.Horizontal(rrb.Tabs(noise, *few, more), numbers),
+            row_shares=[3, 2, 2],
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

@@ -16,7 +16,19 @@ from vlmm_log.sinks.map_entries import MapEntries
 from vlmm_log.sinks.pair_entries import IMAGE, Named
 from vlmm_log.sinks.stages import stage_of
 from vlmm_log.sinks.views import VALIDITY_COLORS
-from vlmm_log.types import Ego, FlowField, Frame, FramePair, Motion, Odometry, RunEnd, Segments, Skipped
+from vlmm_log.types import (
+    Ego,
+    FlowField,
+    Frame,
+    FramePair,
+    Judgement,
+    Motion,
+    Odometry,
+    Posterior,
+    RunEnd,
+    Segments,
+    Skipped,
+)
 
 VALIDITY_NAMES = LabelNames(tuple((int(v), v.name.lower(), color) for v, color in VALIDITY_COLORS.items()))
 STILL = LabelNames | StateNames  # what holds for the whole recording
@@ -30,6 +42,7 @@ class Content:
         self._map = MapEntries()
         self._pair: FramePair | None = None
         self._camera: bytes = b""
+        self._judged = False
         self._digests: dict[str, int] = {}  # stage -> digest of its result, of the pair in hand
         self._at = Moment(0, None, 0.0)
         self._of_pair = self._at
@@ -89,6 +102,8 @@ class Content:
                 if not result.valid_share:
                     yield _warning("no pixel of this pair could be scored")
                 yield from of_pair.of_motion(self._pair, result, dense=self._dense)
+            case Posterior():
+                yield from of_pair.of_posterior(result, dense=self._dense)
             case Odometry():
                 yield "world/camera", of_pair.of_pose(result.T_world_first)
             case Tracked():
@@ -97,6 +112,11 @@ class Content:
                 yield from self._map.of_world(result, at.index)
             case Answer():
                 yield from self._map.of_answer(result)
+            case Judgement():
+                if not self._judged:
+                    self._judged = True
+                    yield from of_pair.JUDGED_NAMES.items()
+                yield from of_pair.of_judgement(result, dense=self._dense)
             case _:
                 pass
 

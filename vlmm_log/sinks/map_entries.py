@@ -9,7 +9,16 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from vlmm_log.elements import CLASS_COLORS, OBSERVATION, Element, Elements, MotionClass, Tracked, WorldMap
+from vlmm_log.elements import (
+    CLASS_COLORS,
+    OBSERVATION,
+    Element,
+    Elements,
+    MotionClass,
+    Tracked,
+    WorldMap,
+    class_posterior,
+)
 from vlmm_log.entries import (
     Boxes,
     Cloud,
@@ -175,8 +184,8 @@ def slug(text: str) -> str:
 
 
 def element_columns(elements: Elements) -> dict[str, Column]:
-    """Every field of the paper's tuple, as columns."""
-    return {
+    """Every field of the paper's tuple, as columns; the classes' probabilities where a calibration gave them."""
+    columns: dict[str, Column] = {
         "element_id": elements.ids,
         "label": elements.labels,
         "position": elements.positions,
@@ -192,6 +201,10 @@ def element_columns(elements: Elements) -> dict[str, Column]:
         "speed": elements.speed,
         "observations": elements.observations,
     }
+    if np.isnan(elements.p_moving).all():
+        return columns
+    static, movable_static, moving = class_posterior(elements.p_moving, elements.rho)
+    return columns | {"p_moving": moving, "p_static": static, "p_movable_static": movable_static}
 
 
 def id_color(i: int) -> tuple[int, int, int]:

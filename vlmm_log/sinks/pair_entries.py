@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vlmm_log import se3
-from vlmm_log.entries import Arrows, Camera, DepthMap, Labels, Picture, Pose, Raster, Scalar, Value
+from vlmm_log.entries import Arrows, Camera, DepthMap, LabelNames, Labels, Picture, Pose, Raster, Scalar, Value
 from vlmm_log.sinks import views
-from vlmm_log.types import Ego, Float64, FlowField, Frame, FramePair, Motion
+from vlmm_log.types import Ego, Float64, FlowField, Frame, FramePair, Judgement, Motion, Posterior
 
 IMAGE = "world/camera/image"
 VECTORS = f"{IMAGE}/residual/vectors"
+TRUTH, OUTCOME = f"{IMAGE}/truth", f"{IMAGE}/outcome"
+JUDGED_NAMES: Mapping[str, LabelNames] = {  # of what only judged runs hold
+    TRUTH: LabelNames(tuple((v, name, color) for v, (name, color) in views.TRUTH_COLORS.items())),
+    OUTCOME: LabelNames(
+        tuple((int(o), o.name.lower().replace("_", " "), color) for o, color in views.OUTCOME_COLORS.items())
+    ),
+}
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 MOVED = (230, 159, 0)
 
@@ -90,6 +97,20 @@ def of_motion(pair: FramePair, motion: Motion, *, dense: bool) -> Iterator[Named
     yield from ((f"{path}/{name}", Raster(values)) for name, values in fields.items())
     yield f"{path}/covariance", Raster(covariance, COVARIANCE)
     yield VECTORS, Arrows(*views.moved_arrows(motion, pair.first, pair.second), color=MOVED)
+
+
+def of_posterior(posterior: Posterior, *, dense: bool) -> Iterator[Named]:
+    """How likely each pixel moved."""
+    p = posterior.p_moving
+    yield f"{IMAGE}/residual/p_moving", Raster(p if dense else views.half(p[::2, ::2]))
+
+
+def of_judgement(judgement: Judgement, *, dense: bool) -> Iterator[Named]:
+    """The truth, what became of each pixel, the score that was judged, and the pair's metrics."""
+    yield TRUTH, Labels(judgement.truth)
+    yield OUTCOME, Labels(judgement.outcome)
+    yield f"{IMAGE}/score", Raster(judgement.score if dense else views.half(judgement.score))
+    yield from ((f"metrics/{name}", Scalar(float(value))) for name, value in judgement.figures.items())
 
 
 def _jpeg(rgb: NDArray[np.uint8], quality: int) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from vlmm_log.entries import Arrows, Boxes, Entry, LabelNames, StateNames, States, Table, Value
 from vlmm_log.sinks.content import VALIDITY_NAMES
 from vlmm_log.sinks.map_entries import CLEAR, MAP, element_ellipsoids, id_color, mask_classes
-from vlmm_log.sinks.pair_entries import IMAGE, MOVED, VECTORS
+from vlmm_log.sinks.pair_entries import IMAGE, JUDGED_NAMES, MOVED, VECTORS
 from vlmm_log.sinks.recorder import Container
 from vlmm_log.sinks.rerun_values import RerunValues
 
@@ -20,6 +20,7 @@ class Redrawn:
         self._names: dict[int, str] = {}  # of elements in the masks
         self._labels: dict[str, str] = {}  # of elements, by their entity
         self._lanes: set[str] = set()  # entities with states
+        self._judged: set[str] = set()  # of the truth and the outcome, those that were named
         to.put(Entry(f"{IMAGE}/validity", VALIDITY_NAMES, None, None))
 
     def put(self, entry: Entry) -> None:
@@ -34,6 +35,9 @@ class Redrawn:
             self._labels |= {f"{ELEMENTS}/{i}": str(label) for i, label in told}
         if isinstance(entry.value, States):
             self._lanes.add(entry.entity)
+        if entry.entity in JUDGED_NAMES and entry.entity not in self._judged:
+            self._judged.add(entry.entity)
+            self._to.put(Entry(entry.entity, JUDGED_NAMES[entry.entity], None, None))
         self._to.put(Entry(entry.entity, _shown(entry.entity, entry.value), entry.stamp_ns, entry.index))
 
     def rest(self) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import rerun as rr
 
 from vlmm_log.entries import Entry
-from vlmm_log.sinks.blueprint import default_blueprint
+from vlmm_log.sinks.blueprint import CALIBRATED, default_blueprint
 from vlmm_log.sinks.footer import finish
 from vlmm_log.sinks.rerun_values import RerunValues
 from vlmm_log.types import Run, RunEnd
@@ -22,9 +23,9 @@ UP = {
 
 
 class RerunFile:
-    """See recorder.Container."""
+    """See recorder.Container. ``images`` are shown beside those that every recording holds."""
 
-    def __init__(self, path: Path, run: Run) -> None:
+    def __init__(self, path: Path, run: Run, images: Sequence[str] = ()) -> None:
         rr.set_strict_mode(True)
         self._path = path
         self._rec = rr.RecordingStream(
@@ -35,7 +36,8 @@ class RerunFile:
         )
         self._values = RerunValues(self._rec)
         self._pairs = 0
-        self._rec.save(path, default_blueprint=default_blueprint())
+        calibrated = CALIBRATED if "calibration" in run.versions else ()
+        self._rec.save(path, default_blueprint=default_blueprint((*calibrated, *images)))
         self._begin(run)
 
     def put(self, entry: Entry) -> None:

@@ -45,6 +45,10 @@ LOOKS: Mapping[str, Range] = {  # range and colours
     f"{IMAGE}/residual/p_stat": (0.0, 1.0, "viridis"),
     f"{IMAGE}/flow/fb_error": (0.0, 2.0, "magma"),
 }
+LATER_LOOKS: Mapping[str, Range] = {  # of what few recordings hold: told with the first value
+    f"{IMAGE}/residual/p_moving": (0.0, 1.0, "magma"),
+    f"{IMAGE}/score": (0.0, 8.0, "turbo"),
+}
 STATE_COLORS = {  # fused class, and what an element does at present
     **{kind.name.lower(): color for kind, color in CLASS_COLORS.items()},
     "still": (90, 90, 90),
@@ -60,6 +64,7 @@ class RerunValues:
         self._rec, self._prefix = rec, prefix
         self._scalars = ScalarColumns(rec)
         self._at: tuple[int | None, int | None] = (None, None)
+        self._untold = dict(LATER_LOOKS)
         rec.set_log_time_enabled(False)  # nothing but the input decides what is written
 
     def looks(self, ranges: Mapping[str, Range] = LOOKS) -> None:
@@ -71,6 +76,8 @@ class RerunValues:
     def put(self, entry: Entry) -> None:
         """Log one entry."""
         entity = self._prefix + entry.entity
+        if entry.entity in self._untold:
+            self.looks({entry.entity: self._untold.pop(entry.entity)})
         if isinstance(entry.value, Scalar) and entry.stamp_ns is not None:
             self._scalars.add(entity, entry.stamp_ns, entry.index, entry.value.value)
             return

@@ -4,19 +4,32 @@ from __future__ import annotations
 
 from vlmm_log.elements import Sightings, Tracked, WorldMap
 from vlmm_log.queries import Answer
-from vlmm_log.types import Ego, Features, FlowField, FramePair, Motion, Odometry, Segments, Skipped
+from vlmm_log.types import (
+    Ego,
+    Features,
+    FlowField,
+    FramePair,
+    Judgement,
+    Motion,
+    Odometry,
+    Posterior,
+    Segments,
+    Skipped,
+)
 
 _NAMES: dict[type, str] = {
     FlowField: "flow",
     Segments: "segments",
     Ego: "ego",
     Motion: "motion",
+    Posterior: "posterior",
     Odometry: "odometry",
     Sightings: "aggregate",
     Features: "embed",
     Tracked: "associate",
     WorldMap: "map",
     Answer: "query",
+    Judgement: "judge",
 }
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.types import Float32, Float64, Frame, Motion, UInt8, Validity
+from vlmm_log.types import Float32, Float64, Frame, Motion, Outcome, UInt8, Validity
 
 VALIDITY_COLORS: dict[Validity, tuple[int, int, int]] = {  # told apart also by the colour-blind (Okabe and Ito)
     Validity.VALID: (0, 114, 178),
@@ -14,6 +14,21 @@ VALIDITY_COLORS: dict[Validity, tuple[int, int, int]] = {  # told apart also by 
     Validity.OUT_OF_VIEW: (204, 121, 167),
     Validity.FB_INCONSISTENT: (230, 159, 0),
     Validity.OCCLUDED: (240, 228, 66),
+}
+
+
+TRUTH_COLORS: dict[int, tuple[str, tuple[int, int, int]]] = {
+    0: ("static", (0, 114, 178)),
+    128: ("ignored", (120, 120, 120)),
+    255: ("moving", (213, 94, 0)),
+}
+OUTCOME_COLORS: dict[Outcome, tuple[int, int, int]] = {
+    Outcome.QUIET: (40, 40, 40),
+    Outcome.HIT: (0, 158, 115),
+    Outcome.MISS: (213, 94, 0),
+    Outcome.LOST: (230, 159, 0),
+    Outcome.FALSE_FLAG: (204, 121, 167),
+    Outcome.IGNORED: (120, 120, 120),
 }
 
 
