@@ -37,7 +37,7 @@ class World:
     instance: UInt16  # (pieces,)
     instance_of_part: tuple[int, ...]  # of each part from 1 on
     camera: HandHeld
-    light: Float64  # (3,) m
+    light: Float32  # (3,) m
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ def build(scene: Scene) -> World:
         motions.append(body.motion)
         owners.append(instance)
     instance_of = np.array([i for _, _, i in pieces], np.uint16)
-    light = np.array(scene.light, np.float64)
+    light = np.array(scene.light, np.float32)
     world = World(
         still,
         tuple(moving),
@@ -161,6 +161,7 @@ def _looks(pieces: list[tuple[Piece, int, int]]) -> Looks:
         np.array([PATTERNS.index(m.pattern) for m in materials], np.int32),
         np.array([piece.T_texture[:3] for piece, _, _ in pieces], np.float32),
         np.array([part for _, part, _ in pieces], np.int32),
+        1 + max(part for _, part, _ in pieces),
     )
 
 

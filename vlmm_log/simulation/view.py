@@ -83,10 +83,12 @@ def _coloured(at: Studio, seen: Exposure, hits: Hits, rng: np.random.Generator) 
     H, W = at.size
     v, u = int(rng.integers(H + 1)), int(rng.integers(W + 1))
     rgb = np.empty((H, W, 3), np.uint8)
-    shade(
-        rgb, hits.depth, hits.piece, hits.normal, seen.T_part_cam[:, :, :3], seen.T_world_part[:, :, :3],
-        at.world.looks, at.noise_lattice, at.grain[v : v + H, u : u + W], at.world.light, at.lens,
-    )  # fmt: skip
+    T_part_cam, T_world_part = (
+        T[:, :, :3].reshape(-1, 3, 4).astype(np.float32) for T in (seen.T_part_cam, seen.T_world_part)
+    )
+    grain, lens = at.grain[v : v + H, u : u + W], Lens(*np.array(at.lens, np.float32))
+    surfaces = (hits.depth, hits.piece, hits.normal)
+    shade(rgb, surfaces, T_part_cam, T_world_part, at.world.looks, at.noise_lattice, grain, at.world.light, lens)
     return rgb
 
 
