@@ -18,6 +18,7 @@ from vlmm_log.tables import (
     print_converted,
     print_diagnosis,
     print_difference,
+    print_evaluation,
     print_info,
     print_run,
     print_simulated,
@@ -145,7 +146,7 @@ def process(
         objects__segmenter=segmenter,
         objects__embedder=embedder,
         objects__prior=prior,
-        keyframes__gap=int(gap) if gap and len(gap) < 5 and gap.isascii() and gap.isdigit() else gap,
+        keyframes__gap=_gap(gap),
         calibration__file=calibration,
         log__dense=True if dense else None,
     )
@@ -429,6 +430,116 @@ def diff(
                 click.echo(f"wrote {printable(str(path))}")
     if not done.same:
         sys.exit(FOUND)
+
+
+@cli.command(
+    name="eval",
+    epilog="Examples: vlmm-log eval kitchen bedroom --ablate --baselines --html eval.html; "
+    "vlmm-log eval walking --truth person --segmenter yolo:yolov8n-seg.onnx",
+)
+@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...", type=click.Path(path_type=Path))
+@click.option("--truth", metavar="DIR|person", help="simulate's truth/, masks (0, 128, 255), or the person proxy.")
+@click.option("--ablate", is_flag=True, help="Both profiles, and default without each of its levers.")
+@click.option("--baselines", is_flag=True, help="Other ways to the same questions.")
+@click.option("--association", is_flag=True, help="Withhold the identities of the masks, and see which are kept.")
+@click.option("--pose-noise", metavar="DEG,CM", help="Also with poses off by so much, with and without ego-refinement.")
+@click.option("--sweep", "sweeps", multiple=True, metavar="A.B=V1,V2", help="A setting at each value; repeatable.")
+@click.option("--calibrate", type=click.Path(path_type=Path), help="Fit probabilities and write them to this file.")
+@click.option("--calibration", type=click.Path(path_type=Path), help="Judge the probabilities of such a file.")
+@click.option("--profile", help="default, or paper: what the paper prints.")
+@click.option("--flow", type=click.Choice(["dis", "raft"]), help="Optical flow: dis needs no weights.")
+@click.option("--weights", help="RAFT weights: a file, or a folder with raft*.pth.")
+@click.option("--segmenter", metavar="NAME", help="If not given: the truth's masks where it has them, else geometric.")
+@click.option("--embedder", metavar="NAME", help="words (default), clip, maskclip; clip:WEIGHTS.")
+@click.option("--gap", metavar="K", help="Distance of a pair: frames (3) or seconds (0.1s).")
+@click.option("--intrinsics", metavar="F|FX,FY,CX,CY", help="camera.txt, numbers in px, or freiburg1, bonn, ...")
+@click.option("--settings", "toml", type=click.Path(path_type=Path), help="TOML file of settings.")
+@click.option("--set", "sets", multiple=True, metavar="A.B=V", help="One setting; repeat as needed.")
+@click.option("--html", type=click.Path(path_type=Path), help="Write one page with tables, charts, worst frames.")
+@click.option("--rrd", "recordings", type=click.Path(path_type=Path), help="Folder for a recording of each way.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write all of it as JSON; - prints it.")
+@click.option("--force", is_flag=True, help="Replace existing outputs.")
+def evaluate(
+    sources: tuple[Path, ...],
+    truth: str | None,
+    ablate: bool,
+    baselines: bool,
+    association: bool,
+    pose_noise: str | None,
+    sweeps: tuple[str, ...],
+    calibrate: Path | None,
+    calibration: Path | None,
+    profile: str | None,
+    flow: str | None,
+    weights: str | None,
+    segmenter: str | None,
+    embedder: str | None,
+    gap: str | None,
+    intrinsics: str | None,
+    toml: Path | None,
+    sets: tuple[str, ...],
+    html: Path | None,
+    recordings: Path | None,
+    json_file: Path | None,
+    force: bool,
+) -> None:
+    """Judge the method on logs of which the truth is known: SOURCE/truth, or --truth.
+
+    Several logs are judged together. Settings as asked come first; what is compared with them follows.
+    """
+    from vlmm_log.assessment import evaluate as run
+    from vlmm_log.evaluation.plans import Comparison, parse_pose_noise, parse_sweeps
+    from vlmm_log.evaluation.report import to_json
+
+    settings = _settings(
+        toml,
+        sets,
+        None,
+        intrinsics,
+        None,
+        None,
+        profile,
+        flow__estimator=flow,
+        flow__weights=weights,
+        objects__segmenter=segmenter,
+        objects__embedder=embedder,
+        keyframes__gap=_gap(gap),
+    )
+    compare = Comparison(
+        profiles=ablate,
+        levers=ablate,
+        baselines=baselines,
+        association=association,
+        sweeps=parse_sweeps(sweeps),
+        pose_noise=None if pose_noise is None else parse_pose_noise(pose_noise),
+    )
+    printed = json_file == Path("-")
+    with progress("pairs") as told:
+        done = run(
+            sources,
+            truth=truth,
+            settings=settings,
+            compare=compare,
+            calibration=calibration,
+            calibrate=calibrate,
+            html=html,
+            json=None if printed else json_file,
+            recordings=recordings,
+            force=force,
+            progress=told,
+        )
+    if printed:
+        click.echo(to_json([done]), nl=False)
+    else:
+        print_evaluation(done)
+        for path in (calibrate, html, json_file, recordings):
+            if path is not None:
+                click.echo(f"wrote {printable(str(path))}")
+
+
+def _gap(text: str | None) -> int | str | None:
+    """Frames as a number, seconds as they are written."""
+    return int(text) if text and len(text) < 5 and text.isascii() and text.isdigit() else text
 
 
 @cli.command(epilog="Examples: vlmm-log view out.rrd; vlmm-log view before.rrd after.rrd; vlmm-log view out.rrd --web")

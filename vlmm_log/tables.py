@@ -5,11 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
     from vlmm_log.api import Processed
     from vlmm_log.ask import Found
     from vlmm_log.comparison.difference import Difference
     from vlmm_log.conversion import Converted
     from vlmm_log.diagnosis import Diagnosis
+    from vlmm_log.evaluation.results import Evaluation
     from vlmm_log.rendering import Simulated
     from vlmm_log.survey import Info
 
@@ -239,3 +244,60 @@ def print_converted(done: Converted) -> None:
     for line in (*done.notes, *(f"noted: {reason}, {n} times" for reason, n in sorted(done.skipped.items()))):
         console.print(f"  {printable(line)}", highlight=False, soft_wrap=True)
     console.print(f"wrote {printable(str(done.out))}", highlight=False, soft_wrap=True)
+
+
+def print_evaluation(e: Evaluation) -> None:
+    """Tables of an evaluation: pixels, elements, identities, calibration."""
+    from rich.console import Console
+
+    console = Console(markup=False)
+    console = Console(markup=False, width=max(console.width, 110))  # narrower cells are no longer read
+    for log in e.logs:
+        told = f"{log.name}: {log.truth}; {log.frames} frames, {log.judged_pairs} of {log.pairs} pairs judged"
+        console.print(printable(told), highlight=False, soft_wrap=True)
+    pixels = [
+        (
+            *(r.trial, r.score, _known(r.ap, "{:.3f}"), _known(r.scored_ap, "{:.3f}"), _known(r.coverage, "{:.1%}")),
+            *(_known(x, "{:.1%}") for x in (r.recall, r.static_flags, r.far_flags, r.far_flags_at_recall)),
+        )
+        for r in e.pixels
+    ]
+    head = ("settings or baseline", "score", "AP", "scored", "coverage", "recall", "static", "far", "equal recall")
+    share = e.pixels[0].prevalence if e.pixels else float("nan")
+    _print_rows(console, f"moving pixels, {share:.1%} of all; flags of static ones", head, pixels)
+    objects = [
+        (
+            r.name,
+            *(_known(ap, "{:.3f}") for ap in r.ap.values()),
+            *(_known(d.f1, "{:.2f}") for d in r.decisions.values()),
+        )
+        for r in e.objects
+    ]
+    queries = tuple(e.objects[0].ap) if e.objects else ()
+    if e.objects:
+        head = ("elements", *(f"AP {q}" for q in queries), *(f"F1 {q}" for q in queries))
+        _print_rows(console, "queries", head, [(*row, *[""] * (len(head) - len(row))) for row in objects])
+    for a in e.association:
+        told = f"identities, {a.trial}: IDF1 {a.idf1:.3f}, {a.elements} elements for {a.things} things"
+        console.print(printable(told), highlight=False)
+    for c in e.calibration:
+        console.print(f"ECE of {c.name}: {c.ece:.3f} ({c.count} {c.unit}s)", highlight=False)
+    console.print(f"static d_M^2 median {e.static_d_m2:.2f} (2.366 expected)", highlight=False)
+    if e.sigma_z is not None:
+        a_m, b = e.sigma_z
+        console.print(
+            f"depth noise of static pixels: --set noise.sigma_z_a={a_m:.5f} --set noise.sigma_z_b={b:.5f}",
+            highlight=False,
+        )
+
+
+def _print_rows(console: Console, title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for k, name in enumerate(head):
+        table.add_column(name, justify="right" if k else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(printable(cell)) for cell in row))
+    console.print(table)

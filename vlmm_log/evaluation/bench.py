@@ -10,16 +10,19 @@ import numpy as np
 from vlmm_log.elements import Elements
 from vlmm_log.evaluation import scores as sc
 from vlmm_log.evaluation.baselines.protocol import Baseline
-from vlmm_log.evaluation.counts import Counts, count
+from vlmm_log.evaluation.counts import Counts, FrameCounts, count
 from vlmm_log.evaluation.noise_fit import NoiseFit
+from vlmm_log.evaluation.outcome import judgement
 from vlmm_log.evaluation.scores import Scores
+from vlmm_log.evaluation.shelf import Shelf
 from vlmm_log.evaluation.things import Judged, ThingCounts
-from vlmm_log.evaluation.trial import Seen, Trial
+from vlmm_log.evaluation.trial import Plan, Seen, Trial
 from vlmm_log.evaluation.truth import PairTruth, Truth
 from vlmm_log.evaluation.worst import Worst
-from vlmm_log.protocols import Models, MovabilityPrior
+from vlmm_log.protocols import Log, Models, MovabilityPrior, Sink
 from vlmm_log.settings import Settings
-from vlmm_log.types import Float32, FramePair
+from vlmm_log.sinks.many import watched_by
+from vlmm_log.types import Float32, FramePair, RunEnd
 
 FAR_M = 2.5
 OWN = "full"  # row of the settings' own answers
@@ -53,11 +56,14 @@ class Bench:
     noise: NoiseFit = field(default_factory=NoiseFit)
     worst: Worst = field(default_factory=Worst)
 
-    def score(self, trial: str, name: str, value: Float32, threshold: float, truth: PairTruth, pair: FramePair) -> None:
+    def score(
+        self, trial: str, name: str, value: Float32, threshold: float, truth: PairTruth, pair: FramePair
+    ) -> FrameCounts:
         """Count one score of one pair."""
         held = self.pixels.setdefault((trial, name), PixelScore(threshold))
         with np.errstate(invalid="ignore"):
             held.counts.frames.append(count(value, threshold, truth, pair.first.depth > FAR_M))
+        return held.counts.frames[-1]
 
 
 @dataclass
@@ -68,13 +74,32 @@ class LogRun:
     name: str
     truth: Truth
     trials: Sequence[Trial]
-    baselines: Sequence[Baseline]
+    baselines: Sequence[tuple[Baseline, Sink | None]]
+    counts: Mapping[str, ThingCounts]  # of trials that are asked about identities
     judged_pairs: int = 0
 
-    def __post_init__(self) -> None:
-        self.counts = {t.name: ThingCounts(self.truth.things) for t in self.trials}
-        for name, held in self.counts.items():
-            self.bench.things.setdefault(name, []).append(held)
+    @staticmethod
+    def start(
+        bench: Bench,
+        log: Log,
+        truth: Truth,
+        planned: Sequence[Plan],
+        baselines: Sequence[Baseline],
+        shelf: Shelf | None,
+        force: bool,
+    ) -> LogRun:
+        """Nothing seen yet; recordings opened."""
+
+        def sink(name: str, s: Settings) -> Sink | None:
+            return None if shelf is None else shelf.recorder(name, s, force=force)
+
+        trials = [Trial.start(p, has_poses=log.has_poses, sink=sink(p.name, p.settings)) for p in planned]
+        watched = [(b, sink(b.name, planned[0].settings)) for b in baselines]
+        asked = [p.name for k, p in enumerate(planned) if k == 0 or not p.same_ids]  # the others' are the first one's
+        counts = {name: ThingCounts(truth.things) for name in asked}
+        for name, held in counts.items():
+            bench.things.setdefault(name, []).append(held)
+        return LogRun(bench, log.name, truth, trials, watched, counts)
 
     def see(self, pair: FramePair, models: Models) -> None:
         """One pair, by all trials and baselines."""
@@ -86,23 +111,39 @@ class LogRun:
             if truth is not None:
                 self._judge(trial, seen, truth)
         assert first is not None, "a bench has a trial"
-        for baseline in self.baselines:
-            value = baseline.see(first)
-            if value is not None and truth is not None:
-                self.bench.score(baseline.name, "own", value, baseline.threshold, truth, pair)
+        for baseline, sink in self.baselines:
+            self._see_by(baseline, sink, first, truth)
         if truth is not None:
             self.judged_pairs += 1
             self.bench.noise.add(first, truth)
             self.bench.worst.add(self.name, first, truth)
 
+    def _see_by(self, baseline: Baseline, sink: Sink | None, seen: Seen, truth: PairTruth | None) -> None:
+        value = baseline.see(seen)
+        if value is None or truth is None:
+            return
+        counted = self.bench.score(baseline.name, "own", value, baseline.threshold, truth, seen.pair)
+        if sink is not None:
+            show = watched_by(sink, seen.pair)
+            show(seen.pair)
+            show(seen.odometry)
+            show(judgement(value, baseline.threshold, truth, counted))
+
     def _judge(self, trial: Trial, seen: Seen, truth: PairTruth) -> None:
         motion = seen.motion
-        self.bench.score(trial.name, "d_M", motion.d_m, motion.tau_px, truth, seen.pair)
-        self.bench.score(trial.name, "raw", motion.norm, RAW_FLAG_M, truth, seen.pair)
-        self.counts[trial.name].add(truth, seen, trial.settings.map.min_pixels)
+        counted = self.bench.score(trial.name, "d_M", motion.d_m, motion.tau_px, truth, seen.pair)
+        if trial.plan.raw:
+            self.bench.score(trial.name, "raw", motion.norm, RAW_FLAG_M, truth, seen.pair)
+        if trial.name in self.counts:
+            self.counts[trial.name].add(truth, seen, trial.settings.map.min_pixels)
+        if trial.sink is not None:
+            watched_by(trial.sink, seen.pair)(judgement(motion.d_m, motion.tau_px, truth, counted))
 
-    def finish(self) -> None:
-        """Rank the elements of the first trial in every way, once the log is over."""
+    def finish(self, end: RunEnd) -> None:
+        """Close the recordings, and rank the elements of the first trial in every way."""
+        for sink in (*(t.sink for t in self.trials), *(sink for _, sink in self.baselines)):
+            if sink is not None:
+                sink.close(end)
         trial = self.trials[0]
         if not self.truth.things:
             return
@@ -112,7 +153,7 @@ class LogRun:
         ways: dict[str, tuple[Scores, ...]] = {name: (scores,) for name, scores in of_fields.items()}
         for other in (t for t in self.trials[1:] if t.plan.same_ids):
             ways[other.name] = (_on(columns, other),)
-        ways |= {b.name: found for b in self.baselines if (found := b.answers(columns))}
+        ways |= {b.name: found for b, _ in self.baselines if (found := b.answers(columns))}
         self.bench.elements.append(ElementScores(columns, judged, ways))
 
 

@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
-
 import numpy as np
 
+from vlmm_log.evaluation.counts import Counts, FrameCounts
+from vlmm_log.evaluation.metrics import full_frame_ap
 from vlmm_log.evaluation.truth import IGNORE, MOVING, STATIC, PairTruth
-from vlmm_log.types import Float32, UInt8
-
-
-class Outcome(IntEnum):
-    """What became of a pixel."""
-
-    QUIET = 0  # static, not flagged
-    HIT = 1  # moving, flagged
-    MISS = 2  # moving, scored, not flagged
-    LOST = 3  # moving, not scored
-    FALSE_FLAG = 4  # static, flagged
-    IGNORED = 5  # no truth
+from vlmm_log.types import Float32, Judgement, Outcome, UInt8
 
 
 def outcome(score: Float32, threshold: float, truth: PairTruth) -> UInt8:
@@ -33,3 +22,17 @@ def outcome(score: Float32, threshold: float, truth: PairTruth) -> UInt8:
     out[moving & flagged] = Outcome.HIT
     out[static & flagged] = Outcome.FALSE_FLAG
     return out
+
+
+def judgement(score: Float32, threshold: float, truth: PairTruth, counted: FrameCounts) -> Judgement:
+    """What a recording shows of a pair that was judged."""
+    one = Counts([counted]).summed()
+    figures = {
+        "ap": full_frame_ap(one),
+        "recall": one.recall,
+        "precision": one.precision,
+        "static_flags": one.static_flags,
+        "far_flags": one.far_flags,
+    }
+    known = {name: value for name, value in figures.items() if value == value}
+    return Judgement(truth.motion, outcome(score, threshold, truth), score, known)

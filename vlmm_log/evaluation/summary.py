@@ -109,7 +109,7 @@ def things(bench: Bench) -> Things | None:
 
 
 def associations(bench: Bench) -> tuple[Association, ...]:
-    """Identities of each trial: sums over logs."""
+    """Identities of the trials that are asked about them: means over logs, weighed by what was seen."""
     rows = []
     for name, counted in bench.things.items():
         seen = [c for c in counted if c.true_seen]

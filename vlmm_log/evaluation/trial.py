@@ -47,6 +47,7 @@ class Plan:
     settings: Settings
     adapt: Adapt = as_it_is
     same_ids: bool = True  # elements are those of the first trial
+    raw: bool = False  # the residual's length is judged beside d_M
 
 
 @dataclass

@@ -60,7 +60,7 @@ class Truth(Protocol):
         ...
 
 
-class Simulated:
+class SimulatedTruth:
     """The truth/ folder of a simulated scene: exact, at any gap."""
 
     def __init__(self, folder: Path) -> None:

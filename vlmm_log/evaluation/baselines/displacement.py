@@ -31,10 +31,10 @@ class RawDisplacement:
     def __init__(self) -> None:
         self._means = ElementMeans()
 
-    def see(self, seen: Seen) -> Float32:
-        """Metres."""
+    def see(self, seen: Seen) -> Float32 | None:
+        """No score of its own: every trial's norm is judged beside its d_M."""
         self._means.add(seen, seen.motion.norm)
-        return seen.motion.norm
+        return None
 
     def answers(self, elements: Elements) -> tuple[Scores, ...]:
         """What moved could move; what did not is still."""
@@ -53,8 +53,8 @@ class NoUncertainty:
         self._map = empty_map(s.map)
         self.threshold = FLAG_M
 
-    def see(self, seen: Seen) -> Float32:
-        """Metres."""
+    def see(self, seen: Seen) -> Float32 | None:
+        """No score of its own: every trial's norm is judged beside its d_M."""
         motion = seen.motion
         sigma = np.float32(FLAG_M / motion.tau_px)  # flags from FLAG_M on
         flat = replace(motion, d_m=motion.norm / sigma)
@@ -62,7 +62,7 @@ class NoUncertainty:
         tracked = replace(seen.tracked, sightings=sightings)
         grown = update(self._map, tracked, empty_background(self._s.map.voxel_m))
         self._map = fuse(grown, self._prior, self._s.map)
-        return motion.norm
+        return None
 
     def answers(self, elements: Elements) -> tuple[Scores, ...]:
         """By the same queries, on its own map of the same elements."""
