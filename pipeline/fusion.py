@@ -27,15 +27,18 @@ def fuse(world: WorldMap, prior: MovabilityPrior, s: MapSettings, curve: Curve |
     return replace(world, elements=elements)
 
 
-def motion_strength(score: Float32 | Float64 | float, tau_o: float) -> Float32 | Float64:
+def motion_strength(o: Float32 | Float64 | float, tau_o: float) -> Float32 | Float64:
     """How strongly things of these scores moved, in [0, 1): 1/2 at tau_o."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(score / (score + max(tau_o, 1e-6)))
+        return np.asarray(o / (o + max(tau_o, 1e-6)))
 
 
-def motion_evidence(has_moved: NDArray[np.bool_] | bool, score: Float32 | Float64 | float, tau_o: float) -> Float64:
-    """By which elements are ranked as movers, in [0, 2): whether they have the class or an interval, then how much."""
-    return np.asarray(has_moved + motion_strength(score, tau_o), np.float64)
+def motion_evidence(has_moved: NDArray[np.bool_] | bool, o: Float32 | Float64 | float, tau_o: float) -> Float64:
+    """By which elements are ranked as movers, in [0, 2): whether they have the class or an interval, then how much.
+
+    The median o: the kappa-weighted score ranks things that a mover passed by above slow movers.
+    """
+    return np.asarray(has_moved + motion_strength(o, tau_o), np.float64)
 
 
 def classify(o: float, kappa: float, rho: float, s: MapSettings) -> tuple[MotionClass, float]:
@@ -78,7 +81,7 @@ def attributes(evidence: Evidence, prior: MovabilityPrior, s: MapSettings, curve
         score,
         _speed(seen[moved & _within(seen, intervals)]) if intervals.size else 0.0,
         intervals,
-        float("nan") if curve is None else float(curve(motion_evidence(has_moved, score, s.tau_o))),
+        float("nan") if curve is None else float(curve(motion_evidence(has_moved, o, s.tau_o))),
     )
 
 

@@ -36,6 +36,7 @@ router = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(router)
 SECTIONS = router.sections()
 
+STAYS = AllOf((Class("static"), Not(Moved())))
 CHAIR, TABLE, DOOR, PERSON, CUP = (Named(n) for n in ("chair", "table", "door", "person", "cup"))
 STILL = Not(Moved())
 
@@ -77,7 +78,8 @@ MEANINGS = [
     ("things that can be pushed or pulled", Movable()),
     ("things I can move and that are near the door", AllOf((Movable(), Near(DOOR)))),
     # stillness: an adjective names the class, a negated verb what was seen
-    *[(text, Class("static")) for text in ("static things", "what stays still", "remains in place", "fixed objects")],
+    *[(text, Class("static")) for text in ("static things", "fixed objects")],
+    *[(text, STAYS) for text in ("what stays still", "remains in place")],
     *[(text, STILL) for text in ("things that never move", "what isn't moving", "dont move", "unmoved things")],
     ("immovable objects", Class("static")),
     # negation
@@ -186,7 +188,7 @@ MEANINGS = [
             ("never seen moving", STILL),
             ("not seen to move", STILL),
             ("seen not to move", STILL),
-            ("never seen standing still", Not(Class("static"))),
+            ("never seen standing still", Not(STAYS)),
             ("never seen near the door", Not(Near(DOOR))),
         )
     ],

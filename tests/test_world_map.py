@@ -212,7 +212,8 @@ def test_time_unseen_ends_an_interval():
 
 
 def test_a_part_that_moves_makes_an_interval_and_no_class():
-    seen = observations(6, part=[0, 0.2, 0.2, 0.2, 0, 0])
+    n = S.interval_pairs
+    seen = observations(n + 3, part=[0, *[0.2] * n, 0, 0])
     e = attributes(evidence(1, "cup", seen=seen), prior, S)
     assert len(e.intervals) == 1 and e.motion_class is MotionClass.MOVABLE_STATIC
     paper = attributes(evidence(1, "cup", seen=seen), prior, Settings.load("paper").map)

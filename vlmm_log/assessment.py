@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 
 from vlmm_log.api import versions
-from vlmm_log.calibration import load_calibration
 from vlmm_log.elements import Movability
 from vlmm_log.evaluation import summary
 from vlmm_log.evaluation.baselines.dewan import DewanStyle
@@ -31,6 +30,7 @@ from vlmm_log.evaluation.results import Evaluated, Evaluation
 from vlmm_log.evaluation.shelf import Shelf
 from vlmm_log.evaluation.trial import FlowOnce, SegmentsOnce
 from vlmm_log.evaluation.truth import MotionMasks, People, SimulatedTruth, Truth
+from vlmm_log.models.curves import load_curves
 from vlmm_log.models.load import load_models
 from vlmm_log.models.prior import TablePrior, normal, read_table
 from vlmm_log.outputs import claim, replacing
@@ -76,7 +76,7 @@ def evaluate(
         raise InputError("eval: no log; name one or more")
     outputs = [Path(path) for path in (calibrate, json, html) if path is not None]
     claim(outputs, force=force, inputs=paths)
-    judged_by = None if calibration is None else load_calibration(Path(calibration))
+    judged_by = None if calibration is None else load_curves(_calibrated(s, Path(calibration)))[0]
     folder = None if recordings is None else Path(recordings)
     bench, logs = Bench(), []
     used: dict[str, str] = {}
@@ -87,7 +87,9 @@ def evaluate(
         models, of_models = load_models(own)
         of_run = versions() | of_models
         used |= of_run
-        models = replace(models, flow=FlowOnce(models.flow), segment=SegmentsOnce(models.segment))
+        models = replace(
+            models, flow=FlowOnce(models.flow), segment=SegmentsOnce(models.segment), calibration=None
+        )  # curves hold for one trial's settings alone
         bench.withheld = _OthersPrior(models.embed)
         baselines = _baselines(own, models) if compare.baselines else []
         references |= {b.name: b.reference for b in baselines}
@@ -120,6 +122,10 @@ def _write(
         with replacing(*texts, force=force) as partials:
             for partial_path, text in zip(partials, texts.values(), strict=True):
                 partial_path.write_text(text, "utf-8")
+
+
+def _calibrated(s: Settings, file: Path) -> Settings:
+    return replace(s, calibration=replace(s.calibration, file=str(file)))
 
 
 def _settings_for(log: Path, s: Settings, truth: str | Path | None) -> Settings:

@@ -198,8 +198,8 @@ class MapSettings:
     min_pixels: int = knob(150, "an element needs this many pixels in some keyframe", low=1)
     voxel_m: float = knob(0.05, "voxel of the background cloud, m", low=1e-3)
     o_unit: float = knob(2.027, "o is divided by it: 2.027 is that of a calibrated still element", low=1e-6)
-    tau_o: float = knob(1.5, "moving: o above it", low=0)
-    kappa_o: float = knob(0.35, "and kappa at least this", low=0, high=1)
+    tau_o: float = knob(1.35, "moving: o above it", low=0)
+    kappa_o: float = knob(0.3, "and kappa at least this", low=0, high=1)
     rho_tau: float = knob(0.55, "else movable: movability prior at least this", low=0, high=1)
     part: float = knob(
         0.1,
@@ -207,7 +207,7 @@ class MapSettings:
         low=0,
         high=1,
     )
-    interval_pairs: int = knob(3, "a motion interval needs this many such pairs in a row (`moving`: one)", low=1)
+    interval_pairs: int = knob(7, "a motion interval needs this many such pairs in a row (`moving`: one)", low=1)
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from vlmm_log.query_tree import (
     Moved,
     Near,
     Node,
+    Not,
     Seen,
     Side,
     Span,
@@ -196,7 +197,7 @@ def _stay(c: Cursor) -> Node | None:
     c.take()
     c.accept("still")
     c.skip("particle")
-    return Class("static")
+    return AllOf((Class("static"), Not(Moved())))  # it stays: what moved for a while did not
 
 
 def _likely(c: Cursor, asked: Asked) -> Node | None:

@@ -26,7 +26,7 @@ from vlmm_log.types import Float32, Int64
 def judge(node: Node, scene: Scene, among: Bools | None = None) -> Truth:
     """Where a tree holds. Unknown values make neither a node nor its negation hold (Kleene's logic).
 
-    Strengths: cosine of a name, score / (score + tau_o) of motion, rho, the class's confidence; one minus these where
+    Strengths: cosine of a name, o / (o + tau_o) of motion, rho, the class's confidence; one minus these where
     they are negated. What only holds or not has 1, negated or not, so that the others alone rank. Under "all" their
     product, under "any" the largest that holds; a negation of either is brought down to its parts.
     Rows that are not ``among`` those still asked may come out either way.

@@ -83,7 +83,7 @@ def moved(node: Moved, scene: Scene) -> Truth:
         parts = [class_why(scene, row)] if ever else []
         return ", ".join([*parts, f"moved {told}" if told else "no motion interval" + ("" if ever else " then")])
 
-    strength = motion_strength(e.score, scene.fusion.tau_o)
+    strength = motion_strength(e.o, scene.fusion.tau_o)
     return graded(scene.has_moved if ever else yes, np.ones_like(yes), strength, why)
 
 
