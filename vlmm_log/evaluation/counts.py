@@ -1,7 +1,7 @@
 """Scores of millions of pixels as counts: what average precision, flags and calibration are computed from.
 
-A score falls into a bin by the upper bits of its float32 pattern: bins are at most 0.8 % wide. So a day of frames fits
-into little memory, and frames can be drawn again for confidence intervals.
+A score falls into a bin by the upper bits of its float32 pattern: bins are at most 0.8 % wide. So a frame's score takes
+20 kB, not megabytes, and frames can be drawn again for confidence intervals.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ BINS = 1 << (31 - SHIFT)  # of scores that are not negative
 
 
 def bins(scores: Float32) -> NDArray[np.uint32]:
-    """Bin of each score, rising with it. Scores are finite and not negative; +0 is bin 0."""
-    return np.asarray(np.ascontiguousarray(scores, np.float32).view(np.uint32) >> SHIFT, np.uint32)
+    """Bin of each score, rising with it. Scores are finite and not negative; 0 is bin 0."""
+    positive = np.ascontiguousarray(scores, np.float32) + np.float32(0)  # -0 as +0
+    return np.asarray(positive.view(np.uint32) >> SHIFT, np.uint32)
 
 
 def bin_floor(at: Int64 | int) -> Float32:
@@ -32,10 +33,10 @@ def bin_floor(at: Int64 | int) -> Float32:
 class FrameCounts:
     """One frame's scores, as counts of the bins that hold any."""
 
-    at: Int64  # (m,) bins, ascending
-    moving: Int64  # (m,) scored pixels that move
-    static: Int64  # (m,)
-    far: Int64  # (m,) of the static ones, those beyond far_m
+    at: NDArray[np.uint16]  # (m,) bins, ascending; small types, for thousands of frames are kept
+    moving: NDArray[np.uint32]  # (m,) scored pixels that move
+    static: NDArray[np.uint32]  # (m,)
+    far: NDArray[np.uint32]  # (m,) of the static ones, those beyond far_m
     moving_lost: int  # pixels that were not scored
     static_lost: int
     ignored: int
@@ -54,10 +55,10 @@ def count(score: Float32, threshold: float, truth: PairTruth, far: NDArray[np.bo
     above = np.nan_to_num(score, nan=0.0) > threshold
     flagged = {name: int(np.count_nonzero(above & m)) for name, m in of.items()}
     return FrameCounts(
-        at.astype(np.int64),
-        moving=tables["moving"][at].astype(np.int64),
-        static=tables["static"][at].astype(np.int64),
-        far=tables["far"][at].astype(np.int64),
+        at.astype(np.uint16),
+        moving=tables["moving"][at].astype(np.uint32),
+        static=tables["static"][at].astype(np.uint32),
+        far=tables["far"][at].astype(np.uint32),
         moving_lost=int(np.count_nonzero(moving & ~scored)),
         static_lost=int(np.count_nonzero(static & ~scored)),
         ignored=int(truth.motion.size - np.count_nonzero(moving) - np.count_nonzero(static)),
@@ -140,13 +141,18 @@ class Summed:
         return _share(self.far_flagged, int(self.far.sum()))
 
     def full_frame(self) -> tuple[Float64, Float64]:
-        """Moving and static pixels by rising score; those not scored come first, as score 0."""
-        moving = np.concatenate([[self.moving_lost], self.moving]).astype(np.float64)
-        static = np.concatenate([[self.static_lost], self.static]).astype(np.float64)
+        """Moving and static pixels by rising score; those not scored have score 0, as others may."""
+        moving, static = np.zeros((2, self.at.size + 1))
+        moving[1:], static[1:] = self.moving, self.static
+        lost = 1 if self.at.size and self.at[0] == 0 else 0
+        moving[lost] += self.moving_lost
+        static[lost] += self.static_lost
         return moving, static
 
     def far_flags_at(self, recall: float) -> float:
         """Far static flags at the highest threshold that finds this share of all moving pixels; NaN where none does."""
+        if recall <= 0:
+            return _share(0, int(self.far.sum()))
         total = int(self.moving.sum()) + self.moving_lost
         found = np.cumsum(self.moving[::-1]) / max(total, 1)
         enough = int(np.searchsorted(found, recall - 1e-12))
