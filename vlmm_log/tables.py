@@ -257,38 +257,43 @@ def print_evaluation(e: Evaluation) -> None:
         console.print(printable(told), highlight=False, soft_wrap=True)
     pixels = [
         (
-            *(r.trial, r.score, _known(r.ap, "{:.3f}"), _known(r.scored_ap, "{:.3f}"), _known(r.coverage, "{:.1%}")),
-            *(_known(x, "{:.1%}") for x in (r.recall, r.static_flags, r.far_flags, r.far_flags_at_recall)),
+            *(r.trial, r.score, _figure(r.ap, "{:.3f}"), _figure(r.scored_ap, "{:.3f}"), _figure(r.coverage, "{:.1%}")),
+            *(_figure(x, "{:.1%}") for x in (r.recall, r.static_flags, r.far_flags, r.far_flags_at_recall)),
         )
         for r in e.pixels
     ]
     head = ("settings or baseline", "score", "AP", "scored", "coverage", "recall", "static", "far", "equal recall")
     share = e.pixels[0].prevalence if e.pixels else float("nan")
-    _print_rows(console, f"moving pixels, {share:.1%} of all; flags of static ones", head, pixels)
+    _print_rows(console, f"moving pixels, {_figure(share, '{:.1%}')} of all; flags of static ones", head, pixels)
     objects = [
         (
             r.name,
-            *(_known(ap, "{:.3f}") for ap in r.ap.values()),
-            *(_known(d.f1, "{:.2f}") for d in r.decisions.values()),
+            *(_figure(ap, "{:.3f}") for ap in r.ap.values()),
+            *(_figure(d.f1, "{:.2f}") for d in r.decisions.values()),
         )
         for r in e.objects
     ]
     queries = tuple(e.objects[0].ap) if e.objects else ()
     if e.objects:
-        head = ("elements", *(f"AP {q}" for q in queries), *(f"F1 {q}" for q in queries))
-        _print_rows(console, "queries", head, [(*row, *[""] * (len(head) - len(row))) for row in objects])
+        names = ("elements", *(f"AP {q}" for q in queries), *(f"F1 {q}" for q in queries))
+        _print_rows(console, "queries", names, [(*row, *[""] * (len(names) - len(row))) for row in objects])
     for a in e.association:
-        told = f"identities, {a.trial}: IDF1 {a.idf1:.3f}, {a.elements} elements for {a.things} things"
+        told = f"identities, {a.trial}: IDF1 {_figure(a.idf1, '{:.3f}')}, {a.elements} elements for {a.things} things"
         console.print(printable(told), highlight=False)
     for c in e.calibration:
-        console.print(f"ECE of {c.name}: {c.ece:.3f} ({c.count} {c.unit}s)", highlight=False)
-    console.print(f"static d_M^2 median {e.static_d_m2:.2f} (2.366 expected)", highlight=False)
+        console.print(f"ECE of {c.name}: {_figure(c.ece, '{:.3f}')} ({c.count} {c.unit}s)", highlight=False)
+    console.print(f"static d_M^2 median {_figure(e.static_d_m2, '{:.2f}')} (2.366 expected)", highlight=False)
     if e.sigma_z is not None:
         a_m, b = e.sigma_z
         console.print(
             f"depth noise of static pixels: --set noise.sigma_z_a={a_m:.5f} --set noise.sigma_z_b={b:.5f}",
             highlight=False,
         )
+
+
+def _figure(value: float, form: str) -> str:
+    """A dash where nothing could be judged."""
+    return _known(value, form) or "–"
 
 
 def _print_rows(console: Console, title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -46,11 +46,13 @@ def scored_ap(s: Summed) -> float:
 
 
 def interval(counts: Counts, of: Callable[[Summed], float], rng: np.random.Generator, draws: int = 200) -> list[float]:
-    """95 % bootstrap interval of a figure: frames are drawn again, with replacement."""
+    """95 % bootstrap interval of a figure: frames are drawn again, with replacement. NaN where it cannot be told."""
     n = len(counts.frames)
     if n < 2:
         return [float("nan")] * 2
     values = [of(counts.summed(np.bincount(rng.integers(0, n, n), minlength=n))) for _ in range(draws)]
+    if np.isnan(values).all():
+        return [float("nan")] * 2
     return [float(x) for x in np.nanquantile(values, [0.025, 0.975])]
 
 

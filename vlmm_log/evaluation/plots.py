@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -35,11 +36,12 @@ def ap_bars(rows: Sequence[PixelRow]) -> str | None:
 
 
 def reliability(rows: Sequence[CalibrationRow]) -> str | None:
-    """Confidence against frequency, one panel a row; circles as large as what they hold."""
-    if not rows:
+    """Confidence against frequency, one panel a row that holds anything; circles as large as what they hold."""
+    shown = [row for row in rows if row.count]
+    if not shown:
         return None
-    drawn = figure(2.75 * len(rows), 2.9)
-    for axes, row in zip(np.atleast_1d(drawn.subplots(1, len(rows))), rows, strict=True):
+    drawn = figure(2.75 * len(shown), 2.9)
+    for axes, row in zip(np.atleast_1d(drawn.subplots(1, len(shown))), shown, strict=True):
         r = row.reliability
         held = [(c, f, w) for c, f, w in zip(r.confidence, r.frequency, r.weight, strict=True) if w > 0]
         c, f, w = (np.array(x) for x in zip(*held, strict=True))
@@ -57,7 +59,7 @@ def reliability(rows: Sequence[CalibrationRow]) -> str | None:
 
 def sweep(rows: Sequence[PixelRow], name: str) -> str | None:
     """Average precision against a swept setting's value; None for fewer than two numbers."""
-    points = sorted((float(r.trial.split("=", 1)[1]), r.ap) for r in rows if r.score == "d_M" and _is_of(r, name))
+    points = sorted((at, r.ap) for r in rows if r.score == "d_M" and (at := _value_of(r, name)) is not None)
     if len(points) < 2:
         return None
     x, y = zip(*points, strict=True)
@@ -70,6 +72,11 @@ def sweep(rows: Sequence[PixelRow], name: str) -> str | None:
     return svg(drawn)
 
 
-def _is_of(row: PixelRow, name: str) -> bool:
-    setting, _, value = row.trial.partition("=")
-    return setting == name and value.replace(".", "", 1).replace("-", "", 1).replace("e", "", 1).isdigit()
+def _value_of(row: PixelRow, name: str) -> float | None:
+    """The number that a row's trial sets a setting to; None where it is none."""
+    setting, _, text = row.trial.partition("=")
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if setting == name and math.isfinite(value) else None
