@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,7 +16,7 @@ import numpy as np
 
 from vlmm_log import se3
 from vlmm_log.protocols import Segmenter
-from vlmm_log.types import Float32, Float64, FramePair, InputError, Int32, UInt8, freeze
+from vlmm_log.types import Float32, Float64, Frame, FramePair, InputError, Int32, UInt8, freeze
 
 STATIC, IGNORE, MOVING = 0, 128, 255
 STILL_M, MOVED_M = 0.001, 0.01  # moved less than the one: static; at least the other: moving; between: ignored
@@ -67,30 +68,24 @@ class SimulatedTruth:
         """Raises InputError where a file of it is missing or unusable."""
         self.folder = folder
         try:
-            self.about = json.loads((folder / "truth.json").read_text("utf-8"))
+            about = json.loads((folder / "truth.json").read_text("utf-8"))
+            self.name = f"exact, {about['scene']} seed {about['seed']}"
+            self._units = float(about["depth_units_per_meter"])
             self.things = {
                 int(r["id"]): ThingTruth(r["name"], float(r["movability"]), r["kind"])
                 for r in _rows(folder / "objects.csv")
             }
-            self._parts = np.array([int(r["part"]) for r in _rows(folder / "parts.csv")], np.int64)
-            table = np.array([[float(x) for x in r.values()] for r in _rows(folder / "part_poses.csv")])
-            self._cameras = _motions(np.loadtxt(folder / "poses.txt", ndmin=2)[:, 1:])
-            self.units = float(self.about["depth_units_per_meter"])
-        except (OSError, KeyError, ValueError, IndexError) as e:
-            raise InputError(f"{folder}: no truth of a simulated scene: {e}; make it with vlmm-log simulate") from e
-        self._poses = (
-            {(int(row[0]), int(row[1])): T for row, T in zip(table, _motions(table[:, 2:]), strict=True)}
-            if table.size
-            else {}
-        )
-
-    @property
-    def name(self) -> str:
-        """See Truth."""
-        return f"exact, {self.about['scene']} seed {self.about['seed']}"
+            table = np.array([[float(x) for x in r.values()] for r in _rows(folder / "part_poses.csv")]).reshape(-1, 9)
+            self._poses = {(int(row[0]), int(row[1])): T for row, T in zip(table, _motions(table[:, 2:]), strict=True)}
+            self._cameras = _motions(_lines(folder / "poses.txt")[:, 1:])
+            if not 0 < self._units < math.inf:
+                raise ValueError(f"depth_units_per_meter is {self._units}")
+        except (OSError, KeyError, ValueError, IndexError, TypeError, csv.Error) as e:
+            told = f"no {e} in it" if isinstance(e, KeyError) else str(e)
+            raise InputError(f"{folder}: no truth of a simulated scene: {told}; make it with vlmm-log simulate") from e
 
     def of(self, pair: FramePair) -> PairTruth | None:
-        """See Truth. None for frames that were not simulated."""
+        """See Truth. None for frames that were not simulated. Raises InputError where a file of it is damaged."""
         a, b = pair.first.index, pair.second.index
         if not max(a, b) < len(self._cameras):
             return None
@@ -98,25 +93,43 @@ class SimulatedTruth:
         motion = np.full(moved.shape, IGNORE, np.uint8)
         motion[moved < STILL_M] = STATIC
         motion[moved >= MOVED_M] = MOVING
-        return PairTruth(motion, self._image("instances", a).astype(np.int32))
+        return PairTruth(motion, self._image("instances", pair.first).astype(np.int32))
 
     def displacement(self, pair: FramePair) -> Float32:
-        """(H, W) m: how far each surface point moved against the world from the first frame's time to the second's."""
+        """(H, W) m: how far each surface point moved against the world from the first frame's time to the second's.
+
+        NaN for what can move and is too far for the truth's own depth.
+        """
         a, b = pair.first.index, pair.second.index
-        depth = self._image("depth", a).astype(np.float32) / np.float32(self.units)
-        part = self._image("parts", a)
+        stored = self._image("depth", pair.first).astype(np.float32)
+        depth = np.where(stored > 0, stored / np.float32(self._units), np.float32(np.nan))
+        part = self._image("parts", pair.first)
         rays = _rays(depth.shape, pair.first.K.tobytes())
         moved = np.zeros(depth.shape, np.float32)
-        for k in np.intersect1d(np.unique(part), self._parts).tolist():
-            D = self._poses[b, k] @ se3.inverse(self._poses[a, k])
+        for k in np.unique(part[part > 0]).tolist():  # 0: what never moves
+            D = self._pose(b, k) @ se3.inverse(self._pose(a, k))
             G = (D - np.eye(4)) @ self._cameras[a]
             at = part == k
             points = rays[:, at] * depth[at]
             moved[at] = np.linalg.norm(G[:3, :3] @ points + G[:3, 3:], axis=0)
         return moved
 
-    def _image(self, kind: str, index: int) -> UInt8:
-        return _read(self.folder / kind / f"{index:06d}.png")
+    def _pose(self, frame: int, part: int) -> Float64:
+        try:
+            T: Float64 = self._poses[frame, part]
+        except KeyError as e:
+            raise InputError(
+                f"{self.folder / 'part_poses.csv'}: no pose of part {part} in frame {frame}; make the truth again"
+            ) from e
+        return T
+
+    def _image(self, kind: str, frame: Frame) -> UInt8:
+        path = self.folder / kind / f"{frame.index:06d}.png"
+        image = _read(path)
+        if image.shape != frame.depth.shape:
+            (h, w), (H, W) = image.shape, frame.depth.shape
+            raise InputError(f"{path}: {w}x{h} px, the log's images are {W}x{H}; take the truth of this log")
+        return image
 
 
 class MotionMasks:
@@ -178,14 +191,22 @@ def _rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(f))
 
 
+def _lines(path: Path) -> Float64:
+    """(n, 8) of lines of numbers: a stamp and a pose."""
+    return np.array([line.split() for line in path.read_text("utf-8").splitlines()], np.float64).reshape(-1, 8)
+
+
 def _motions(rows: Float64) -> Float64:
-    """(n, 4, 4) of rows tx ty tz qx qy qz qw."""
+    """(n, 4, 4) of rows tx ty tz qx qy qz qw. Raises ValueError where a quaternion is none of unit length."""
+    if not (np.abs(np.linalg.norm(rows[:, 3:7], axis=1) - 1) < 1e-3).all() or not np.isfinite(rows).all():
+        raise ValueError("a row is no pose")
     return se3.from_quaternion(rows[:, :3], rows[:, 3:7])
 
 
 def _read(path: Path) -> UInt8:
     """A one-channel image of 8 or 16 bit."""
-    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED) if path.is_file() else None
+    data = np.fromfile(path, np.uint8) if path.is_file() else np.zeros(0, np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if image is None or image.ndim != 2:
         raise InputError(f"{path}: no image of one channel; make the truth again")
     return image  # type: ignore[return-value]
