@@ -59,15 +59,15 @@ def parse_pose_noise(text: str) -> tuple[float, float]:
 
 
 def parse_sweeps(texts: Sequence[str]) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Settings and their values, of "objects.quantile=0.5,0.75". Raises InputError."""
-    found = []
+    """Settings and their values, of "objects.quantile=0.5,0.75", each once. Raises InputError."""
+    found: dict[str, tuple[str, ...]] = {}
     for text in texts:
-        name, _, values = text.partition("=")
-        listed = tuple(value for value in values.split(",") if value)
+        name, _, values = (part.strip() for part in text.partition("="))
+        listed = [value for part in values.split(",") if (value := part.strip())]
         if not name or not listed:
             raise InputError(f"--sweep {text}: give a setting and its values, as in objects.quantile=0.5,0.75,0.9")
-        found.append((name, listed))
-    return tuple(found)
+        found[name] = tuple(dict.fromkeys([*found.get(name, ()), *listed]))
+    return tuple(found.items())
 
 
 def plans(s: Settings, compare: Comparison) -> list[Plan]:
@@ -119,21 +119,25 @@ def profiles(s: Settings) -> dict[str, Settings]:
 
 
 def _without_levers(s: Settings) -> dict[str, Settings]:
-    """``s`` without each lever."""
-    return {f"without {name}": s.changed(sets) for name, sets in LEVERS.items()}
+    """``s`` without each lever that it has."""
+    taken = {f"without {name}": s.changed(sets) for name, sets in LEVERS.items()}
+    return {name: without for name, without in taken.items() if without != s}
 
 
 def _swept(s: Settings, name: str, values: tuple[str, ...]) -> dict[str, Settings]:
-    """``s`` with a setting at each value."""
-    return {f"{name}={value}": s.changed([f"{name}={value}"]) for value in values}
+    """``s`` with a setting at each value. Raises InputError for a setting that all trials share."""
+    found = {f"{name}={value}": s.changed([f"{name}={value}"]) for value in values}
+    if any(replace(_as_asked(one, s), seed=one.seed, profile=s.profile) != one for one in found.values()):
+        raise InputError(
+            f"--sweep {name}: all trials share their pairs, flow, masks and names; run eval once for each value, "
+            f"with --set {name}=VALUE"
+        )
+    return found
+
+
+OF_MODELS = ("segmenter", "yolo_score", "yolo_iou", "yolo_names", "embedder", "crop_px", "prior", "llm_model")
 
 
 def _as_asked(profile: Settings, s: Settings) -> Settings:
-    objects = replace(
-        profile.objects,
-        segmenter=s.objects.segmenter,
-        embedder=s.objects.embedder,
-        prior=s.objects.prior,
-        yolo_names=s.objects.yolo_names,
-    )
+    objects = replace(profile.objects, **{name: getattr(s.objects, name) for name in OF_MODELS})
     return replace(profile, seed=s.seed, read=s.read, keyframes=s.keyframes, flow=s.flow, objects=objects, log=s.log)
