@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from vlmm_log.elements import Elements
+from vlmm_log.elements import Elements, MotionClass
 from vlmm_log.evaluation import scores as sc
 from vlmm_log.evaluation.baselines.protocol import Baseline
 from vlmm_log.evaluation.counts import Counts, FrameCounts, count
@@ -19,10 +20,11 @@ from vlmm_log.evaluation.things import Judged, ThingCounts
 from vlmm_log.evaluation.trial import Plan, Seen, Trial
 from vlmm_log.evaluation.truth import PairTruth, Truth
 from vlmm_log.evaluation.worst import Worst
+from vlmm_log.pipeline.fusion import motion_evidence
 from vlmm_log.protocols import Log, Models, MovabilityPrior, Sink
 from vlmm_log.settings import Settings
-from vlmm_log.sinks.many import watched_by
-from vlmm_log.types import Float32, FramePair, RunEnd
+from vlmm_log.sinks.many import Many, watched_by
+from vlmm_log.types import Float32, Float64, FramePair, RunEnd
 
 FAR_M = 2.5
 OWN = "full"  # row of the settings' own answers
@@ -42,6 +44,7 @@ class ElementScores:
 
     columns: Elements
     judged: Judged
+    evidence: Float64  # (n,) of having moved, as the map has it: what probabilities are fitted to
     ways: Mapping[str, tuple[Scores, ...]]  # name -> candidates
 
 
@@ -76,6 +79,7 @@ class LogRun:
     trials: Sequence[Trial]
     baselines: Sequence[tuple[Baseline, Sink | None]]
     counts: Mapping[str, ThingCounts]  # of trials that are asked about identities
+    apart: set[str] = field(default_factory=set)  # trials whose elements are not the first one's: tracks differ
     judged_pairs: int = 0
 
     @staticmethod
@@ -94,7 +98,8 @@ class LogRun:
             return None if shelf is None else shelf.recorder(name, s, force=force)
 
         trials = [Trial.start(p, has_poses=log.has_poses, sink=sink(p.name, p.settings)) for p in planned]
-        watched = [(b, sink(b.name, planned[0].settings)) for b in baselines]
+        own = planned[0].settings
+        watched = [(b, None if math.isnan(b.threshold) else sink(b.name, own)) for b in baselines]
         asked = [p.name for k, p in enumerate(planned) if k == 0 or not p.same_ids]  # the others' are the first one's
         counts = {name: ThingCounts(truth.things) for name in asked}
         for name, held in counts.items():
@@ -108,6 +113,8 @@ class LogRun:
         for trial in self.trials:
             seen = trial.see(pair, models)
             first = first or seen
+            if not np.array_equal(seen.tracked.ids, first.tracked.ids):
+                self.apart.add(trial.name)
             if truth is not None:
                 self._judge(trial, seen, truth)
         assert first is not None, "a bench has a trial"
@@ -139,11 +146,12 @@ class LogRun:
         if trial.sink is not None:
             watched_by(trial.sink, seen.pair)(judgement(motion.d_m, motion.tau_px, truth, counted))
 
-    def finish(self, end: RunEnd) -> None:
-        """Close the recordings, and rank the elements of the first trial in every way."""
-        for sink in (*(t.sink for t in self.trials), *(sink for _, sink in self.baselines)):
-            if sink is not None:
-                sink.close(end)
+    def close(self, end: RunEnd) -> None:
+        """Close the recordings."""
+        Many([s for s in (*(t.sink for t in self.trials), *(s for _, s in self.baselines)) if s is not None]).close(end)
+
+    def rank(self) -> None:
+        """Rank the elements of the first trial in every way."""
         trial = self.trials[0]
         if not self.truth.things:
             return
@@ -151,13 +159,19 @@ class LogRun:
         judged = self.counts[trial.name].judged(columns.ids, s.map.min_pixels)
         of_fields = _of_fields(columns, s, self.bench.withheld)
         ways: dict[str, tuple[Scores, ...]] = {name: (scores,) for name, scores in of_fields.items()}
-        for other in (t for t in self.trials[1:] if t.plan.same_ids):
+        for other in (t for t in self.trials[1:] if t.plan.same_ids and t.name not in self.apart):
             ways[other.name] = (_on(columns, other),)
         ways |= {b.name: found for b, _ in self.baselines if (found := b.answers(columns))}
-        self.bench.elements.append(ElementScores(columns, judged, ways))
+        self.bench.elements.append(ElementScores(columns, judged, _evidence(columns, s), ways))
 
 
 RAW_FLAG_M = 0.02
+
+
+def _evidence(columns: Elements, s: Settings) -> Float64:
+    has_moved = columns.motion_class == MotionClass.MOVING
+    has_moved[columns.interval_rows] = True
+    return motion_evidence(has_moved, columns.o, s.map.tau_o)
 
 
 def _of_fields(columns: Elements, s: Settings, withheld: MovabilityPrior | None) -> dict[str, Scores]:

@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from vlmm_log.calibration import Calibration, deciding
 from vlmm_log.evaluation import metrics as m
-from vlmm_log.evaluation.bench import OWN, Bench, ElementScores
+from vlmm_log.evaluation.bench import Bench, ElementScores
 from vlmm_log.evaluation.counts import Summed, bin_floor
 from vlmm_log.evaluation.isotonic import element_curve, pixel_curve
 from vlmm_log.evaluation.results import Association, CalibrationRow, Evaluated, Evaluation, ObjectRow, PixelRow, Things
@@ -160,8 +160,8 @@ def found(logs: Sequence[ElementScores]) -> tuple[NDArray[np.bool_], NDArray[np.
 
 
 def evidence(logs: Sequence[ElementScores]) -> Float64:
-    """(n,) by which the first trial ranks its elements as having moved."""
-    return np.concatenate([e.ways[OWN][0].moving for e in logs])
+    """(n,) of having moved, of the elements of all logs."""
+    return np.concatenate([e.evidence for e in logs])
 
 
 def joined(logs: Sequence[ElementScores], column: str) -> Float64:

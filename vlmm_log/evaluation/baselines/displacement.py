@@ -26,7 +26,7 @@ class RawDisplacement:
 
     name = "raw displacement"
     reference = "paper, Table III: ||m|| after the same ego-refinement"
-    threshold = FLAG_M
+    threshold = float("nan")
 
     def __init__(self) -> None:
         self._means = ElementMeans()
@@ -47,11 +47,11 @@ class NoUncertainty:
 
     name = "no uncertainty"
     reference = "paper, Table II (v): full fusion, d_M replaced by ||m|| in units of one fixed sigma"
+    threshold = float("nan")
 
     def __init__(self, s: Settings, prior: MovabilityPrior) -> None:
         self._s, self._prior = s, prior
         self._map = empty_map(s.map)
-        self.threshold = FLAG_M
 
     def see(self, seen: Seen) -> Float32 | None:
         """No score of its own: every trial's norm is judged beside its d_M."""

@@ -15,7 +15,7 @@ class Baseline(Protocol):
 
     name: str
     reference: str  # whose mechanism, and what is left out of it
-    threshold: float  # pixel scores above it are flags
+    threshold: float  # pixel scores above it are flags; NaN: it scores no pixels
 
     def see(self, seen: Seen) -> Float32 | None:
         """Score of each pixel (H, W), not negative, NaN where it has none; None where no pixel is judged."""
