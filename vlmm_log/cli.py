@@ -501,7 +501,6 @@ def evaluate(
         profile,
         flow__estimator=flow,
         flow__weights=weights,
-        objects__segmenter=segmenter,
         objects__embedder=embedder,
         keyframes__gap=_gap(gap),
     )
@@ -520,6 +519,7 @@ def evaluate(
             truth=truth,
             settings=settings,
             compare=compare,
+            segmenter=segmenter,
             calibration=calibration,
             calibrate=calibrate,
             html=html,
