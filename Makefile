@@ -2,7 +2,7 @@
 VENV ?= .venv
 PY := $(VENV)/bin/python
 
-.PHONY: demo test check bench twins doctor router picture house clean
+.PHONY: demo test check bench twins doctor reproduce router picture house clean
 
 $(VENV)/.ready: pyproject.toml
 	python3 -m venv $(VENV)
@@ -43,6 +43,10 @@ bench: $(VENV)/.ready  ## speed as ratios, from one run
 	$(PY) -m benchmarks.query
 	$(PY) -m benchmarks.segmenters
 	$(PY) -m benchmarks.diff
+
+reproduce: $(VENV)/.ready  ## every table: the paper's figures and ours, in reproduce/report.html (about half an hour)
+	$(PY) -m pip install -q -e '.[sim]'
+	$(PY) -m benchmarks.reproduce reproduce
 
 router: $(VENV)/.ready  ## routing accuracy of both query parsers
 	$(PY) -m benchmarks.router
