@@ -15,7 +15,7 @@ from vlmm_log.protocols import Models
 from vlmm_log.settings import PROFILES, Settings
 from vlmm_log.types import Frame, FramePair, InputError
 
-TRUSTED = ("ego.model=off", "ego.pose_sigma_rad=0.0", "ego.pose_sigma_m=0.0")  # poses as they are, thought exact
+TRUSTED = ("ego.model=off", "ego.pose_sigma_rad=0.0", "ego.pose_sigma_m=0.0")  # poses thought exact
 LEVERS: Mapping[str, tuple[str, ...]] = {  # what is put back to what the paper has
     "balanced instances": ("ego.instance_share=1.0",),
     "whitened inliers": ("ego.inlier=metric",),
