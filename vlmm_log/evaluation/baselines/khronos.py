@@ -13,7 +13,6 @@ from vlmm_log.types import Float32, Float64, Int64
 
 VOXEL_M = 0.08
 CELLS = 160  # a side: 12.8 m about the first camera
-STRIDE = 6  # pixels, of the rays that carve
 MARGIN_M = 0.2  # before a surface nothing is called free: depth noise
 BURN_IN = 3  # frames in which a voxel must have been seen free
 REACH_M = 6.0
@@ -54,12 +53,13 @@ class KhronosStyle:
 
     def _carve(self, depth: Float32, K: Float64, T: Float64) -> None:
         """Count every voxel that a ray of this frame passed through as free, once."""
-        ends = _points(depth, K, T, STRIDE).reshape(-1, 3)
-        z = depth[::STRIDE, ::STRIDE].ravel()
+        stride = max(int(VOXEL_M * K[0, 0] / REACH_M * 0.9), 1)  # px between rays: no voxel within reach is missed
+        ends = _points(depth, K, T, stride).reshape(-1, 3)
+        z = depth[::stride, ::stride].ravel()
         seen = np.isfinite(z)
         ends, z = ends[seen], np.minimum(z[seen], REACH_M)
         steps = np.arange(0.3, REACH_M, VOXEL_M, dtype=np.float32)
-        along = steps[None, :] / depth[::STRIDE, ::STRIDE].ravel()[seen][:, None]
+        along = steps[None, :] / depth[::stride, ::stride].ravel()[seen][:, None]
         free = steps[None, :] < (z - MARGIN_M)[:, None]
         row, column = np.nonzero(free)
         eye = T[:3, 3].astype(np.float32)

@@ -51,6 +51,8 @@ VOLATILES = (
 
 def similarities(embed: Embedder, features: Float32, texts: Sequence[str]) -> Float64:
     """(m, n) cosines of texts with elements' features; 0 where an element has none."""
+    if not len(features):  # nor does an empty map know how long they are
+        return np.zeros((len(texts), 0))
     return np.nan_to_num(embed.texts(texts).astype(np.float64) @ features.T.astype(np.float64))
 
 
