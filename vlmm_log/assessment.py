@@ -69,7 +69,7 @@ def evaluate(
     ``objects.segmenter`` does) or the settings name another one than ``geometric``.
 
     ``calibrate`` writes the probabilities fitted on these logs, ``calibration`` judges those of such a file, ``json``
-    and ``html`` write the report, ``recordings`` names a folder for a Rerun recording of every trial and baseline.
+    and ``html`` write the report, ``recordings`` names a folder for Rerun recordings of all trials and of baselines that score pixels.
     Raises InputError where a log, a truth, a setting or an output cannot be used.
     """
     s = settings or Settings()
@@ -246,6 +246,7 @@ def _through(log: Log, s: Settings, models: Models, run: LogRun, tell: Callable[
             for item in stream:
                 if isinstance(item, Skipped):
                     skipped[item.reason] += 1
+                    run.skip(item)
                     continue
                 run.see(item, models)
                 pairs += 1

@@ -21,10 +21,10 @@ from vlmm_log.evaluation.trial import Plan, Seen, Trial
 from vlmm_log.evaluation.truth import PairTruth, Truth
 from vlmm_log.evaluation.worst import Worst
 from vlmm_log.pipeline.fusion import motion_evidence
-from vlmm_log.protocols import Log, Models, MovabilityPrior, Sink
+from vlmm_log.protocols import Log, Models, Moment, MovabilityPrior, Sink
 from vlmm_log.settings import Settings
 from vlmm_log.sinks.many import Many, watched_by
-from vlmm_log.types import Float32, Float64, FramePair, RunEnd
+from vlmm_log.types import Float32, Float64, FramePair, RunEnd, Skipped
 
 FAR_M = 2.5
 OWN = "full"  # row of the settings' own answers
@@ -125,6 +125,14 @@ class LogRun:
             self.bench.noise.add(first, truth)
             self.bench.worst.add(self.name, first, truth)
 
+    def skip(self, item: Skipped) -> None:
+        """What was left out, for the recordings."""
+        for sink in self._sinks():
+            sink.write(item, Moment(item.stamp_ns, item.index, 0.0))
+
+    def _sinks(self) -> list[Sink]:
+        return [s for s in (*(t.sink for t in self.trials), *(s for _, s in self.baselines)) if s is not None]
+
     def _see_by(self, baseline: Baseline, sink: Sink | None, seen: Seen, truth: PairTruth | None) -> None:
         value = baseline.see(seen)
         if value is None or truth is None:
@@ -148,7 +156,7 @@ class LogRun:
 
     def close(self, end: RunEnd) -> None:
         """Close the recordings."""
-        Many([s for s in (*(t.sink for t in self.trials), *(s for _, s in self.baselines)) if s is not None]).close(end)
+        Many(self._sinks()).close(end)
 
     def rank(self) -> None:
         """Rank the elements of the first trial in every way."""

@@ -111,7 +111,8 @@ class FlowOnce:
         """See FlowEstimator."""
         if self._of is None or self._of[0].rgb is not first.rgb or self._of[1].rgb is not second.rgb:
             self._of, self._flow = (first, second), self._estimate(first, second)
-        return self._flow
+        forward, backward = self._flow
+        return forward.copy(), backward.copy()  # kernels round otherwise on what an earlier trial has frozen
 
 
 class SegmentsOnce:
