@@ -686,7 +686,7 @@ def test_several_logs(little, copied, tmp_path):
 
 
 def test_the_same_log_twice(little, tmp_path):
-    once = evaluate([little])
+    once = evaluate(str(little))
     twice = evaluate([little, little], recordings=tmp_path / "rec", html=tmp_path / "e.html")
     for name in ("ap", "scored_ap", "coverage", "recall", "far_flags"):
         assert getattr(twice.pixels[0], name) == getattr(once.pixels[0], name)

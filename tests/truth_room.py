@@ -4,6 +4,7 @@ import json
 
 import cv2
 import numpy as np
+
 import render_room as room
 from vlmm_log import se3
 
@@ -23,7 +24,8 @@ def write_room(folder, frames, seed=0):
         T = room.pose(i * room.FRAME_S)
         view = room.render(T, i * room.FRAME_S)
         cv2.imwrite(str(truth / f"instances/{i:06d}.png"), view.labels.astype(np.uint16) + 1)
-        cv2.imwrite(str(truth / f"parts/{i:06d}.png"), np.where(np.isin(view.labels, (1, 3)), view.labels, 0).astype(np.uint16))
+        part = np.where(np.isin(view.labels, (1, 3)), view.labels, 0)
+        cv2.imwrite(str(truth / f"parts/{i:06d}.png"), part.astype(np.uint16))
         cv2.imwrite(str(truth / f"depth/{i:06d}.png"), np.rint(view.depth * 10000).astype(np.uint16))
         poses.append([1000 + i * room.FRAME_S, *row(Z_UP @ T)])
         for part in (1, 3):

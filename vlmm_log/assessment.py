@@ -46,7 +46,7 @@ NOTHING_ELSE = Comparison()
 
 
 def evaluate(
-    sources: Sequence[str | Path],
+    sources: str | Path | Sequence[str | Path],
     *,
     truth: str | Path | None = None,
     settings: Settings | None = None,
@@ -69,11 +69,12 @@ def evaluate(
     ``objects.segmenter`` does) or the settings name another one than ``geometric``.
 
     ``calibrate`` writes the probabilities fitted on these logs, ``calibration`` judges those of such a file, ``json``
-    and ``html`` write the report, ``recordings`` names a folder for Rerun recordings of all trials and of baselines that score pixels.
+    and ``html`` write the report, ``recordings`` names a folder for a Rerun recording of each trial, and of each
+    baseline that scores pixels.
     Raises InputError where a log, a truth, a setting or an output cannot be used.
     """
     s = settings or Settings()
-    paths = [Path(source) for source in sources]
+    paths = [Path(source) for source in ([sources] if isinstance(sources, str | Path) else sources)]
     if not paths:
         raise InputError("eval: no log; name one or more")
     outputs = [Path(path) for path in (calibrate, json, html) if path is not None]
