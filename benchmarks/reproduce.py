@@ -15,7 +15,9 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 from benchmarks import paper_tables
@@ -194,26 +196,40 @@ JOBS: Mapping[str, Callable[[Bench], Evaluation | list[Evaluation] | None]] = {
 }
 
 
+def rendered(b: Bench, names: Iterable[str]) -> None:
+    """Render what the jobs share, before any of them starts."""
+    if {"clean", "clean_default"} & {*names}:
+        b.clean()
+    if {"noisy", "levers", "sweeps", "gaps"} & {*names}:
+        b.noisy()
+
+
+def judged(b: Bench, name: str) -> tuple[list[Evaluation], float]:
+    """One job, and its seconds; no evaluation where something is absent."""
+    began = time.monotonic()
+    found = JOBS[name](b)
+    return ([] if found is None else found if isinstance(found, list) else [found]), time.monotonic() - began
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--seeds", default="11,12,13", help="of the scenes that are judged; not 1 to 3")
+    parser.add_argument("--workers", type=int, default=2, help="jobs at once")
     parser.add_argument("--jobs", default=",".join(JOBS), help="some of: " + ", ".join(JOBS))
     arguments = parser.parse_args()
     b = Bench(arguments.out, tuple(int(x) for x in arguments.seeds.split(",")), arguments.frames)
+    names = arguments.jobs.split(",")
+    rendered(b, names)
     done: dict[str, list[Evaluation]] = {}
-    absent = []
-    for name in arguments.jobs.split(","):
-        began = time.monotonic()
-        found = JOBS[name](b)
-        if found is None:
-            absent.append(name)
-        else:
-            done[name] = found if isinstance(found, list) else [found]
-        print(f"{name}: {'skipped, its recording or weights are not here' if found is None else 'done'}, ", end="")
-        print(f"{time.monotonic() - began:.0f} s", flush=True)
-    write(b.out, done, absent)
+    with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
+        for name, (found, seconds) in zip(names, pool.map(judged, [b] * len(names), names), strict=True):
+            if found:
+                done[name] = found
+            told = "done" if found else "skipped, its recording or weights are not here"
+            print(f"{name}: {told}, {seconds:.0f} s", flush=True)
+    write(b.out, done, [name for name in names if name not in done])
 
 
 def write(out: Path, done: Mapping[str, list[Evaluation]], absent: list[str]) -> None:

@@ -25,8 +25,8 @@ def count(
 ) -> None:
     """Pixels of each instance. counts (n, 3): all, those with depth, those scored; boxes (n, 4): first and last u, v.
 
-    parts (n,): scored pixels in tiles that the instance fills to a quarter and in which most are above tau. A part
-    that moves is a patch; false flags are thin strips along borders.
+    parts (n,): scored pixels in tiles that the instance all but fills and in which most are above tau. A part that
+    moves is a patch; false flags are strips along borders, as wide as flow bleeds from what moves beside.
     """
     n = counts.shape[0]
     counts[:] = 0
@@ -60,7 +60,7 @@ def count(
                     boxes[k, 3] = max(boxes[k, 3], v)
             for k in range(n):
                 if scored[k]:
-                    if 4 * scored[k] >= TILE * TILE and 2 * flagged[k] > scored[k]:
+                    if 10 * scored[k] >= 9 * TILE * TILE and 2 * flagged[k] > scored[k]:
                         parts[k] += scored[k]
                     counts[k, 2] += scored[k]
                     scored[k] = 0

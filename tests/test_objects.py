@@ -106,7 +106,7 @@ def test_a_moving_box_is_coherent_and_the_still_rest_is_not():
     moving = seen.rows["o"] > 6
     assert moving.any() and not moving.all()
     assert (seen.rows["kappa"][moving] > 0.9).all()
-    assert (seen.rows["part"][moving] > 0.5).all()
+    assert (seen.rows["part"][moving] > 0.4).all()  # tiles along borders do not count
     assert (seen.rows["kappa"][~moving] < 0.15).all()
     assert (seen.rows["part"][~moving] < 0.02).all()
 

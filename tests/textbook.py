@@ -164,12 +164,12 @@ def aggregate(pair, segments, motion, s) -> list[dict[str, object]]:
 
 
 def _part(mask: np.ndarray, motion) -> int:
-    """Scored pixels in 16x16 tiles that a mask fills to a quarter with scored pixels, most of them above tau_px."""
+    """Scored pixels in 16x16 tiles that a mask all but fills with scored pixels, most of them above tau_px."""
     total = 0
     for v in range(0, mask.shape[0], 16):
         for u in range(0, mask.shape[1], 16):
             d = motion.d_m[v : v + 16, u : u + 16][mask[v : v + 16, u : u + 16]]
             d = d[np.isfinite(d)]
-            if d.size >= 64 and (d > motion.tau_px).sum() > d.size / 2:
+            if 10 * d.size >= 9 * 256 and (d > motion.tau_px).sum() > d.size / 2:
                 total += d.size
     return total
