@@ -12,17 +12,7 @@ from pathlib import Path
 from vlmm_log.api import versions
 from vlmm_log.elements import Movability
 from vlmm_log.evaluation import summary
-from vlmm_log.evaluation.baselines.dewan import DewanStyle
-from vlmm_log.evaluation.baselines.displacement import NoUncertainty, RawDisplacement
-from vlmm_log.evaluation.baselines.khronos import KhronosStyle
-from vlmm_log.evaluation.baselines.protocol import Baseline
-from vlmm_log.evaluation.baselines.semantic import (
-    ConceptGraphsStyle,
-    DualMapStyle,
-    SemanticOnly,
-    VlMapsStyle,
-    VoxelandStyle,
-)
+from vlmm_log.evaluation.baselines.listed import all_baselines
 from vlmm_log.evaluation.bench import Bench, LogRun
 from vlmm_log.evaluation.plans import Comparison, plans
 from vlmm_log.evaluation.report import to_json
@@ -100,7 +90,7 @@ def evaluate(
             models, flow=FlowOnce(models.flow), segment=SegmentsOnce(models.segment), calibration=None
         )  # curves hold for one trial's settings alone
         bench.withheld = _OthersPrior(models.embed)
-        baselines = _baselines(own, models) if compare.baselines else []
+        baselines = all_baselines(own, models) if compare.baselines else []
         references |= {b.name: b.reference for b in baselines}
         planned = _planned(path, log, own, compare)
         shelf = None if folder is None else Shelf(places[k], log, reader, of_run)
@@ -219,21 +209,6 @@ class _OthersPrior:
         """From similar names alone."""
         rest = {name: m for name, m in read_table().items() if name != normal(label)}
         return TablePrior(self.embed, rest)(label)
-
-
-def _baselines(s: Settings, models: Models) -> list[Baseline]:
-    embedder = s.objects.embedder.partition(":")[0]
-    return [
-        RawDisplacement(),
-        NoUncertainty(s, models.prior),
-        SemanticOnly(models.embed, embedder),
-        VlMapsStyle(models.embed),
-        ConceptGraphsStyle(models.embed),
-        DualMapStyle(models.embed),
-        VoxelandStyle(models.prior),
-        DewanStyle(models.prior),
-        KhronosStyle(),
-    ]
 
 
 def _through(log: Log, s: Settings, models: Models, run: LogRun, tell: Callable[[int, int], None] | None) -> Evaluated:
