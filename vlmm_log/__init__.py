@@ -9,6 +9,7 @@ from vlmm_log.version import __version__
 if TYPE_CHECKING:
     from vlmm_log.api import process
     from vlmm_log.ask import load_map, query
+    from vlmm_log.assessment import evaluate
     from vlmm_log.compare import diff
     from vlmm_log.conversion import convert
     from vlmm_log.diagnosis import doctor
@@ -23,6 +24,7 @@ __all__ = [
     "convert",
     "diff",
     "doctor",
+    "evaluate",
     "info",
     "load_map",
     "open_log",
@@ -36,6 +38,7 @@ _HOME = {
     "convert": "vlmm_log.conversion",
     "diff": "vlmm_log.compare",
     "doctor": "vlmm_log.diagnosis",
+    "evaluate": "vlmm_log.assessment",
     "info": "vlmm_log.survey",
     "load_map": "vlmm_log.ask",
     "open_log": "vlmm_log.readers",
