@@ -16,6 +16,7 @@ from vlmm_log.progress import progress
 from vlmm_log.tables import (
     print_answer,
     print_batch,
+    print_batch_difference,
     print_converted,
     print_diagnosis,
     print_difference,
@@ -29,6 +30,7 @@ from vlmm_log.tables import (
 from vlmm_log.version import __version__
 
 if TYPE_CHECKING:
+    from vlmm_log.comparison.tolerance import Choice, Tolerance
     from vlmm_log.settings import Settings
 
 NOTHING = FOUND = FAILED = 1
@@ -510,15 +512,21 @@ def diff(
 ) -> None:
     """Say what differs between two recordings (.rrd, .mcap) or maps: B against A. Exit code 1: something does.
 
+    Two folders of batch are compared log by log.
+
     Settings and inputs first, then the first frame and the earliest stage that differ, then every entity. ENTITY is a
     name as in the viewer, world/camera/image/residual/d_m, or a pattern, "world/map/*".
     """
+    from vlmm_log.batches.manifest import is_batch
     from vlmm_log.compare import diff as run
     from vlmm_log.comparison.report import report
     from vlmm_log.comparison.tolerance import Choice, Tolerance
 
     tolerance, choice = Tolerance.parse(atol, rtol), Choice(only, ignore)
     printed = json_file == Path("-")
+    if is_batch(a) and is_batch(b):
+        _diff_batches(a, b, tolerance, choice, {"--html": html, "--rrd": rrd}, json_file, force)
+        return
     with progress("entities") as told:
         done = run(
             a,
@@ -538,6 +546,39 @@ def diff(
         for path in (json_file, html, rrd):
             if path is not None:
                 click.echo(f"wrote {printable(str(path))}")
+    if not done.same:
+        sys.exit(FOUND)
+
+
+def _diff_batches(
+    a: Path,
+    b: Path,
+    tolerance: Tolerance,
+    choice: Choice,
+    others: dict[str, Path | None],
+    json_file: Path | None,
+    force: bool,
+) -> None:
+    from vlmm_log.compare_batches import diff_batches
+    from vlmm_log.outputs import claim, replacing
+
+    for name, path in others.items():
+        if path is not None:
+            raise click.UsageError(f"{name} is for two recordings; give those of one log")
+    printed = json_file == Path("-")
+    if json_file is not None and not printed:
+        claim([json_file], force=force)
+    with progress("logs") as told:
+        done = diff_batches(a, b, tolerance=tolerance, choice=choice, progress=told)
+    text = json.dumps(done.report(), indent=1) + "\n"
+    if printed:
+        click.echo(text, nl=False)
+    else:
+        print_batch_difference(done)
+    if json_file is not None and not printed:
+        with replacing(json_file, force=force) as (partial,):
+            partial.write_text(text, encoding="utf-8")
+        click.echo(f"wrote {printable(str(json_file))}")
     if not done.same:
         sys.exit(FOUND)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 
 from vlmm_log.api import Processed, process, versions
@@ -96,16 +97,16 @@ def batch(
 
 def make(task: Task) -> Outcome:
     """One task: skipped where its output is whole, else made anew. What goes wrong is its outcome."""
-    began = time.perf_counter()
     try:
-        return _made(task, began)
+        return _made(task)
     except Exception as e:  # noqa: BLE001  told in one line: the other logs go on
         known = isinstance(e, InputError | OSError)
         told = str(e) if known else f"internal error: {type(e).__name__}: {e}; `vlmm-log --debug process` tells more"
-        return failed(task, told, round(time.perf_counter() - began, 3))
+        return failed(task, told)
 
 
-def _made(task: Task, began: float) -> Outcome:
+def _made(task: Task) -> Outcome:
+    began = time.perf_counter()
     source = Path(task.source)
     s = settings_of(task)
     parts = _parts(task, s, recognise(source).name)
@@ -122,7 +123,7 @@ def _made(task: Task, began: float) -> Outcome:
             raise InputError(f"{source}: interrupted")
         seconds = round(time.perf_counter() - began, 3)
         closing_report = run_report(done) | {"outputs": sorted(path.name for path in done.outputs)}
-        told = {"hash": whole, "of": parts, "seconds": seconds, "row": _row(done), "report": closing_report}
+        told = {"hash": whole, "made_of": parts, "seconds": seconds, "row": _row(done), "report": closing_report}
         write_figures(staging, told)
     return Outcome(task.source, State.DONE, "", folder.name, whole, seconds, _row(done))
 
@@ -134,7 +135,8 @@ def settings_of(task: Task) -> Settings:
 
 def _parts(task: Task, s: Settings, reader: str) -> dict[str, str]:
     """All that decides what a task's output holds; of files, their content."""
-    parts = {f"version of {name}": version for name, version in versions().items()}
+    known = versions() | dict(_model_versions(s))
+    parts = {f"version of {name}": version for name, version in known.items()}
     parts |= {f"content of {name}": content_digest(path) for name, path in _named_files(s)}
     return parts | {
         "source": Path(task.source).name,
@@ -158,6 +160,18 @@ def _named_files(s: Settings) -> Iterator[tuple[str, Path]]:
             path = Path(value.partition(":")[2] or value)
             if value and "://" not in value and path.exists():
                 yield name, path
+
+
+def _model_versions(s: Settings) -> Iterator[tuple[str, str]]:
+    """Of the libraries that the models named run on, those that are there."""
+    names = ["scikit-learn"]
+    if s.flow.estimator == "raft" or s.objects.embedder.startswith(("clip", "maskclip")):
+        names += ["torch", "torchvision"]
+    if s.objects.segmenter.startswith("yolo"):
+        names += ["onnxruntime"]
+    for name in names:
+        with suppress(metadata.PackageNotFoundError):
+            yield name, metadata.version(name)
 
 
 def _row(done: Processed) -> dict[str, object]:

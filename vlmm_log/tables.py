@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
     from vlmm_log.api import Processed
     from vlmm_log.ask import Found
+    from vlmm_log.compare_batches import BatchDifference
     from vlmm_log.comparison.difference import Difference
     from vlmm_log.conversion import Converted
     from vlmm_log.diagnosis import Diagnosis
@@ -198,6 +199,22 @@ def print_batch(done: Batch, most_movers: int = 6) -> None:
     if not done.complete:
         console.print("interrupted: the same command goes on with what is pending", highlight=False, soft_wrap=True)
     console.print(f"wrote {printable(str(done.out))}", highlight=False, soft_wrap=True)
+
+
+def print_batch_difference(d: BatchDifference) -> None:
+    """A line a log."""
+    from collections import Counter
+
+    from rich.console import Console
+
+    console = Console(markup=False)
+    console.print(f"A {printable(d.a)}\nB {printable(d.b)}", highlight=False, soft_wrap=True)
+    for log in d.logs:
+        told = f"{log.name}: {log.verdict}{': ' if log.told else ''}{log.told}"
+        console.print(printable(told), highlight=False, soft_wrap=True)
+    counts = Counter(log.verdict for log in d.logs)
+    told = ", ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
+    console.print(f"{len(d.logs)} logs: {told}", highlight=False, soft_wrap=True)
 
 
 def print_info(told: Info) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
+import sys
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -11,6 +13,8 @@ from typing import Any
 from vlmm_log.batches.tasks import Outcome, Running, Task, Work, failed
 from vlmm_log.batches.threads import ONE_THREAD
 from vlmm_log.types import InputError
+
+ANSWER_S = 10.0
 
 
 def run_ray(
@@ -36,7 +40,8 @@ def _outcomes(
         if gpus and ray.cluster_resources().get("GPU", 0) < gpus:
             raise InputError(f"engine ray: no GPU in the cluster to take a share of {gpus:g} of; leave out --gpus")
         limit = workers or max(int(ray.cluster_resources().get("CPU", 1)), 1)
-        environment = {"env_vars": ONE_THREAD}
+        paths = {} if address else {"PYTHONPATH": os.pathsep.join(sys.path)}  # on this machine, what is found here
+        environment = {"env_vars": ONE_THREAD | paths}
         remote = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=retries, runtime_env=environment)(work)
         waiting = deque(tasks)
         while waiting or running:
@@ -57,7 +62,7 @@ def _outcome(ray: Any, ended: Any, task: Task) -> Outcome:
         outcome: Outcome = ray.get(ended)
     except ray.exceptions.RayError as e:
         first = next((line.strip() for line in str(e).splitlines() if line.strip()), type(e).__name__)
-        return failed(task, f"its process died: {first[:300]}")
+        return failed(task, f"{type(e).__name__}: {first[:300]}")
     return outcome
 
 
@@ -71,6 +76,7 @@ def _ray() -> Any:
 
 def _connect(ray: Any, address: str, workers: int | None) -> None:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    _check_answers(address)
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
     try:
         if address:
@@ -80,3 +86,13 @@ def _connect(ray: Any, address: str, workers: int | None) -> None:
     except (OSError, RuntimeError, ValueError) as e:
         where = f"ray:{address}" if address else "ray"
         raise InputError(f"engine {where}: cannot connect: {next(iter(str(e).splitlines()), '')[:300]}") from e
+
+
+def _check_answers(address: str) -> None:
+    """Ray itself would wait for minutes where nobody listens."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if colon and port.isdigit():
+        try:
+            socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+        except (OSError, OverflowError) as e:
+            raise InputError(f"engine ray:{address}: no cluster answers there: {e}") from e

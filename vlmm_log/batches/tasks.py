@@ -45,7 +45,7 @@ class Outcome:
     error: str = ""  # one line
     folder: str = ""  # name in the batch's folder; empty where it is not known
     hash: str = ""  # SHA-256 that the folder is named by
-    seconds: float | None = None  # that the log took when it was processed, or to fail
+    seconds: float | None = None  # that the log took when it was processed
     row: Mapping[str, Any] = field(default_factory=dict)  # figures of the run, flat
 
     @property
@@ -64,6 +64,6 @@ Running = Generator[Outcome, None, None]
 """The outcomes of tasks as they end; closing it ends what runs."""
 
 
-def failed(task: Task, error: str, seconds: float | None = None) -> Outcome:
-    """The outcome of a task that could not be done."""
-    return Outcome(task.source, State.FAILED, "; ".join(error.split("\n")), seconds=seconds)
+def failed(task: Task, error: str) -> Outcome:
+    """The outcome of a task that could not be done: the same as often as it fails alike."""
+    return Outcome(task.source, State.FAILED, "; ".join(error.splitlines()))
