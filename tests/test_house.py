@@ -36,6 +36,7 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/recording": GROUND | {"recording", "readers", "pipeline", "maps"},
     "vlmm_log/pages": {"pages", "types"},
     "vlmm_log/comparison": GROUND | {"comparison", "pages", "recording", "sinks", "version"},
+    "vlmm_log/batches": {"batches", "types", "outputs"},
     "vlmm_log/calibration.py": {"types", "settings"},
     "vlmm_log/evaluation": GROUND | {"evaluation", "pages", "pipeline", "sinks", "version"},
 }
@@ -55,7 +56,8 @@ FOREIGN = {  # what only some rooms may know
     "open_clip": {"vlmm_log/models"},
     "sklearn": {"vlmm_log/models", "vlmm_log/evaluation"},
     "urllib3": {"vlmm_log/models"},
-    "pyarrow": {"vlmm_log/maps", "vlmm_log/recording", "vlmm_log/sinks"},
+    "ray": {"vlmm_log/batches/cluster.py"},
+    "pyarrow": {"vlmm_log/batches", "vlmm_log/maps", "vlmm_log/recording", "vlmm_log/sinks"},
     "numba": {"pipeline", "readers", "vlmm_log/simulation"},
     "click": {"vlmm_log/cli.py", "vlmm_log/progress.py"},
 }

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from vlmm_log.compare import diff
     from vlmm_log.conversion import convert
     from vlmm_log.diagnosis import doctor
+    from vlmm_log.fleet import batch
     from vlmm_log.readers import open_log
     from vlmm_log.rendering import simulate
     from vlmm_log.settings import Settings
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Settings",
     "__version__",
+    "batch",
     "convert",
     "diff",
     "doctor",
@@ -35,6 +37,7 @@ __all__ = [
 
 _HOME = {
     "Settings": "vlmm_log.settings",
+    "batch": "vlmm_log.fleet",
     "convert": "vlmm_log.conversion",
     "diff": "vlmm_log.compare",
     "doctor": "vlmm_log.diagnosis",

@@ -15,6 +15,8 @@ import click
 from vlmm_log.progress import progress
 from vlmm_log.tables import (
     print_answer,
+    print_batch,
+    print_batch_difference,
     print_converted,
     print_diagnosis,
     print_difference,
@@ -28,9 +30,10 @@ from vlmm_log.tables import (
 from vlmm_log.version import __version__
 
 if TYPE_CHECKING:
+    from vlmm_log.comparison.tolerance import Choice, Tolerance
     from vlmm_log.settings import Settings
 
-NOTHING = FOUND = 1
+NOTHING = FOUND = FAILED = 1
 INTERRUPTED = 130
 
 
@@ -56,6 +59,13 @@ READING = (
 def reads_a_log(command: C) -> C:
     """Add SOURCE and the options that say how to read it."""
     for decorate in reversed(READING):
+        command = decorate(command)
+    return command
+
+
+def says_how_to_read(command: C) -> C:
+    """Add the options of ``reads_a_log`` without SOURCE."""
+    for decorate in reversed(READING[1:]):
         command = decorate(command)
     return command
 
@@ -170,6 +180,108 @@ def process(
         print_run(done)
     if not done.end.complete:
         sys.exit(INTERRUPTED)
+
+
+@cli.command(
+    epilog="Examples: vlmm-log batch logs/* --out maps; "
+    "vlmm-log batch logs/* --out maps --segmenter 'masks:{source}/masks'; vlmm-log batch logs/* --out maps --engine ray"
+)
+@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...", type=click.Path(path_type=Path))
+@click.option(
+    "--out", required=True, type=click.Path(path_type=Path), help="Folder: a folder a log, manifest, summary."
+)
+@click.option("--engine", default="local", show_default=True, metavar="local|ray[:ADDRESS]")
+@click.option("--workers", type=click.IntRange(1), help="Logs at a time, on one thread each; one a core.")
+@click.option("--retries", type=click.IntRange(0), default=0, show_default=True, help="For a log whose process dies.")
+@click.option("--gpus", type=click.FloatRange(0), default=0.0, help="With ray: the share of a GPU that a log takes.")
+@click.option("--mcap", is_flag=True, help="Write run.mcap, too: the same content as ROS 2 messages.")
+@click.option("--no-rrd", is_flag=True, help="Write no run.rrd.")
+@click.option("--query", "queries", multiple=True, metavar="TEXT", help="Log what it finds at every pair; repeatable.")
+@click.option("--profile", help="default, or paper: what the paper prints.")
+@click.option("--flow", type=click.Choice(["dis", "raft"]), help="Optical flow: dis needs no weights.")
+@click.option("--weights", help="RAFT weights: a file, or a folder with raft*.pth.")
+@click.option("--segmenter", metavar="NAME", help="As of process; {source} in a name is the log's path.")
+@click.option("--embedder", metavar="NAME", help="words (default), clip, maskclip; clip:WEIGHTS.")
+@click.option("--prior", metavar="NAME", help="Movability prior: table (default) or llm:URL.")
+@click.option("--gap", metavar="K", help="Distance of a pair: frames (3) or seconds (0.1s).")
+@click.option("--calibration", help="File of eval --calibrate: p_moving of pixels and elements.")
+@click.option("--dense", is_flag=True, help="Write full float32 tensors and covariances.")
+@says_how_to_read
+@click.option("--json", "as_json", is_flag=True, help="Print how the logs stand as JSON.")
+def batch(
+    sources: tuple[Path, ...],
+    out: Path,
+    engine: str,
+    workers: int | None,
+    retries: int,
+    gpus: float,
+    mcap: bool,
+    no_rrd: bool,
+    queries: tuple[str, ...],
+    profile: str | None,
+    toml: Path | None,
+    sets: tuple[str, ...],
+    flow: str | None,
+    weights: str | None,
+    segmenter: str | None,
+    embedder: str | None,
+    prior: str | None,
+    gap: str | None,
+    calibration: str | None,
+    topics: str | None,
+    start: float | None,
+    stop: float | None,
+    intrinsics: str | None,
+    dense: bool,
+    as_json: bool,
+) -> None:
+    """Process many logs into OUT, a folder each; what is finished there is not done again. Exit code 1: one failed.
+
+    A folder bears the log's name and a hash of its content, the settings and the versions. After Ctrl-C or a crash the
+    same command goes on with what is unfinished.
+    """
+    from vlmm_log.batches.tasks import State
+    from vlmm_log.fleet import batch as run
+
+    settings = _settings(
+        toml,
+        sets,
+        topics,
+        intrinsics,
+        start,
+        stop,
+        profile,
+        flow__estimator=flow,
+        flow__weights=weights,
+        objects__segmenter=segmenter,
+        objects__embedder=embedder,
+        objects__prior=prior,
+        keyframes__gap=_gap(gap),
+        calibration__file=calibration,
+        log__dense=True if dense else None,
+    )
+    kinds = {"rrd": not no_rrd, "mcap": mcap}
+    with progress("logs") as told:
+        done = run(
+            sources,
+            out,
+            settings=settings,
+            queries=queries,
+            recordings=[kind for kind, wanted in kinds.items() if wanted],
+            engine=engine,
+            workers=workers,
+            retries=retries,
+            gpus=gpus,
+            progress=told,
+        )
+    if as_json:
+        click.echo(json.dumps(done.report(), indent=2))
+    else:
+        print_batch(done)
+    if not done.complete:
+        sys.exit(INTERRUPTED)
+    if done.of(State.FAILED):
+        sys.exit(FAILED)
 
 
 @cli.command(epilog="Example: vlmm-log info walking.bag")
@@ -400,15 +512,21 @@ def diff(
 ) -> None:
     """Say what differs between two recordings (.rrd, .mcap) or maps: B against A. Exit code 1: something does.
 
+    Two folders of batch are compared log by log.
+
     Settings and inputs first, then the first frame and the earliest stage that differ, then every entity. ENTITY is a
     name as in the viewer, world/camera/image/residual/d_m, or a pattern, "world/map/*".
     """
+    from vlmm_log.batches.manifest import is_batch
     from vlmm_log.compare import diff as run
     from vlmm_log.comparison.report import report
     from vlmm_log.comparison.tolerance import Choice, Tolerance
 
     tolerance, choice = Tolerance.parse(atol, rtol), Choice(only, ignore)
     printed = json_file == Path("-")
+    if is_batch(a) and is_batch(b):
+        _diff_batches(a, b, tolerance, choice, {"--html": html, "--rrd": rrd}, json_file, force)
+        return
     with progress("entities") as told:
         done = run(
             a,
@@ -428,6 +546,39 @@ def diff(
         for path in (json_file, html, rrd):
             if path is not None:
                 click.echo(f"wrote {printable(str(path))}")
+    if not done.same:
+        sys.exit(FOUND)
+
+
+def _diff_batches(
+    a: Path,
+    b: Path,
+    tolerance: Tolerance,
+    choice: Choice,
+    others: dict[str, Path | None],
+    json_file: Path | None,
+    force: bool,
+) -> None:
+    from vlmm_log.compare_batches import diff_batches
+    from vlmm_log.outputs import claim, replacing
+
+    for name, path in others.items():
+        if path is not None:
+            raise click.UsageError(f"{name} is for two recordings; give those of one log")
+    printed = json_file == Path("-")
+    if json_file is not None and not printed:
+        claim([json_file], force=force)
+    with progress("logs") as told:
+        done = diff_batches(a, b, tolerance=tolerance, choice=choice, progress=told)
+    text = json.dumps(done.report(), indent=1) + "\n"
+    if printed:
+        click.echo(text, nl=False)
+    else:
+        print_batch_difference(done)
+    if json_file is not None and not printed:
+        with replacing(json_file, force=force) as (partial,):
+            partial.write_text(text, encoding="utf-8")
+        click.echo(f"wrote {printable(str(json_file))}")
     if not done.same:
         sys.exit(FOUND)
 

@@ -64,7 +64,7 @@ def diff(
     _check_outputs(*outputs[1:])
     for path in paths:
         if path.is_dir():
-            raise InputError(f"{path}: is a folder; give a recording (.rrd, .mcap) or a map (.json, .parquet)")
+            raise InputError(f"{path}: is a folder; give recordings (.rrd, .mcap), maps or two folders of batch")
     if all(is_recording(path) for path in paths):
         done, shared = _of_recordings(paths, tolerance, choice, outputs[2], progress)
     else:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -38,6 +38,16 @@ def knob(
 def is_table(settings: object, name: str) -> bool:
     """Whether a setting holds settings itself."""
     return hasattr(getattr(settings, name), "__dataclass_fields__")
+
+
+def leaves(settings: object, prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Every setting: its name "a.b" and its value."""
+    for f in fields(settings):  # type: ignore[arg-type]
+        value = getattr(settings, f.name)
+        if is_table(settings, f.name):
+            yield from leaves(value, f"{prefix}{f.name}.")
+        else:
+            yield prefix + f.name, value
 
 
 def written(value: object) -> str:

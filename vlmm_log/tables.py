@@ -11,10 +11,12 @@ if TYPE_CHECKING:
 
     from vlmm_log.api import Processed
     from vlmm_log.ask import Found
+    from vlmm_log.compare_batches import BatchDifference
     from vlmm_log.comparison.difference import Difference
     from vlmm_log.conversion import Converted
     from vlmm_log.diagnosis import Diagnosis
     from vlmm_log.evaluation.results import Evaluation
+    from vlmm_log.fleet import Batch
     from vlmm_log.rendering import Simulated
     from vlmm_log.survey import Info
 
@@ -165,6 +167,54 @@ def print_run(done: Processed) -> None:
         console.print(f"wrote {printable(str(path))}{state}, {size:.1f} MB", highlight=False, soft_wrap=True)
     if not done.end.complete and not done.outputs:
         console.print("interrupted before the first pair: nothing was kept")
+
+
+def print_batch(done: Batch, most_movers: int = 6) -> None:
+    """How the logs stand, then what failed and why."""
+    from collections import Counter
+
+    from rich.console import Console
+
+    console = Console(markup=False)
+    rows = []
+    for o in done.outcomes:
+        figures = o.row
+        movers = figures.get("movers", [])
+        more = f" and {len(movers) - most_movers} more" if len(movers) > most_movers else ""
+        cells = (
+            _known(figures.get("pairs"), "{:.0f}"),
+            _known(o.seconds, "{:.1f}"),
+            _known(figures.get("flagged_share"), "{:.1%}"),
+            _known(figures.get("static_d_m2_median"), "{:.2f}"),
+            _known(figures.get("elements"), "{:.0f}"),
+        )
+        rows.append((o.name, str(o.state), *cells, ", ".join(movers[:most_movers]) + more))
+    _print_rows(console, "", ("log", "state", "pairs", "s", "flagged", "d_M^2", "elements", "seen to move"), rows)
+    for o in done.outcomes:
+        if o.error:
+            console.print(printable(f"{o.name}: {o.error}"), highlight=False, soft_wrap=True)
+    states = Counter(str(o.state) for o in done.outcomes)
+    told = ", ".join(f"{n} {state}" for state, n in sorted(states.items()))
+    console.print(f"{len(done.outcomes)} logs: {told}", highlight=False, soft_wrap=True)
+    if not done.complete:
+        console.print("interrupted: the same command goes on with what is pending", highlight=False, soft_wrap=True)
+    console.print(f"wrote {printable(str(done.out))}", highlight=False, soft_wrap=True)
+
+
+def print_batch_difference(d: BatchDifference) -> None:
+    """A line a log."""
+    from collections import Counter
+
+    from rich.console import Console
+
+    console = Console(markup=False)
+    console.print(f"A {printable(d.a)}\nB {printable(d.b)}", highlight=False, soft_wrap=True)
+    for log in d.logs:
+        told = f"{log.name}: {log.verdict}{': ' if log.told else ''}{log.told}"
+        console.print(printable(told), highlight=False, soft_wrap=True)
+    counts = Counter(log.verdict for log in d.logs)
+    told = ", ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
+    console.print(f"{len(d.logs)} logs: {told}", highlight=False, soft_wrap=True)
 
 
 def print_info(told: Info) -> None:
