@@ -17,8 +17,9 @@ demo: $(VENV)/.ready  ## render a small sequence, process it, say how to look at
 	$(VENV)/bin/vlmm-log query demo/room.json "which thing moved the fastest"
 	@echo "look at it: $(VENV)/bin/rerun demo/room.rrd"
 
-test: $(VENV)/.ready  ## all tests
-	$(PY) -m pytest -q -n auto --dist loadscope
+TESTS ?= tests
+test: $(VENV)/.ready  ## all tests, or TESTS=tests/test_x.py
+	$(PY) -m pytest -q -n auto --dist loadscope $(TESTS)
 
 house:  ## the import tree as the installed package has it, of links, for tools that read files
 	rm -rf .house && mkdir -p .house/vlmm_log

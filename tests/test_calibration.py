@@ -218,7 +218,7 @@ def test_elements_have_it_in_the_map_the_file_and_the_recordings(run):
     p = {e.label: e.p_moving for e in elements}
     assert min(p["ball"], p["box"]) > 0.9 > p["shelf"]
     for e in elements:
-        evidence = motion_evidence(e.label != "shelf", e.score, 1.5)
+        evidence = motion_evidence(e.label != "shelf", e.o, Settings().map.tau_o)
         assert e.p_moving == float(ELEMENT(evidence))
     for file in ("a.rrd", "a.mcap", "a.json"):
         read = read_map(out / file) if file != "a.json" else load_map(out / file)
