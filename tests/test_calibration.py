@@ -26,6 +26,7 @@ from vlmm_log.pipeline.posterior import posterior
 from vlmm_log.protocols import Moment
 from vlmm_log.recording import open_recording
 from vlmm_log.recording.map import read_map
+from vlmm_log.settings import Settings
 from vlmm_log.sinks.mcap import McapFile, load_dialect
 from vlmm_log.sinks.memory import Memory
 from vlmm_log.sinks.recorder import Recorder
