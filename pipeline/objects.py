@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,15 +11,32 @@ from vlmm_log.elements import OBSERVATION, Observations, Sightings
 from vlmm_log.pipeline import object_kernels as ok
 from vlmm_log.pipeline.kernels import Camera
 from vlmm_log.settings import ObjectSettings
-from vlmm_log.types import Ego, Float32, Float64, FramePair, Motion, Odometry, Segments
+from vlmm_log.types import Ego, Float32, Float64, FramePair, Int32, Motion, Odometry, Segments
 
 f32 = np.float32
+
+
+@dataclass(frozen=True, eq=False)
+class Instances:
+    """What a pair shows of each instance by itself: wherever its cameras stand."""
+
+    segments: Segments
+    rows: Observations  # (n,) but for position, extent and drift
+    boxes: Int32  # (n, 4) see Sightings
+    mean: Float64  # (n, 3) m, of the points, in the first camera; NaN if there is none
+    covariance: Float64  # (n, 6) m^2
+    drift: Float64  # (n, 3) m, in the axes of Motion.residual
 
 
 def aggregate(
     pair: FramePair, segments: Segments, motion: Motion, ego: Ego, odometry: Odometry, s: ObjectSettings
 ) -> Sightings:
-    """One row an instance. Those of an unreliable pair, or with too few scored pixels, are no observations."""
+    """One row an instance, in the world."""
+    return place(gather_instances(pair, segments, motion, s), pair, ego, odometry, s)
+
+
+def gather_instances(pair: FramePair, segments: Segments, motion: Motion, s: ObjectSettings) -> Instances:
+    """One row an instance, in the pair's own cameras."""
     first, n = pair.first, len(segments)
     tau = f32(motion.tau_px)
     counts, parts, boxes = np.empty((n, 3), np.int32), np.empty(n, np.int32), np.empty((n, 4), np.int32)
@@ -37,11 +56,17 @@ def aggregate(
     rows["o"] = _quantile(scores, by_score, s.quantile)
     _reliability(rows, sums, s)
     rows["part"] = parts / np.maximum(counts[:, 0], 1)
-    rows["drift"] = sums[:, 7:] / np.maximum(sums[:, :1], 1) @ _residual_axes(pair, odometry).T
     mean, cov = _shape(first.depth, pixels, depths, by_depth, first.K)
-    _place(rows, mean, cov, odometry.T_world_first)
+    return Instances(segments, rows, boxes, mean, cov, sums[:, 7:] / np.maximum(sums[:, :1], 1))
+
+
+def place(instances: Instances, pair: FramePair, ego: Ego, odometry: Odometry, s: ObjectSettings) -> Sightings:
+    """Instances in the world. Those of an unreliable pair, or with too few scored pixels, are no observations."""
+    rows = instances.rows.copy()
+    rows["drift"] = instances.drift @ _residual_axes(pair, odometry).T
+    _place(rows, instances.mean, instances.covariance, odometry.T_world_first)
     observed = (rows["scored"] >= s.min_scored) & ego.reliable & np.isfinite(rows["position"]).all(axis=1)
-    return Sightings(segments, rows, boxes, observed)
+    return Sightings(instances.segments, rows, instances.boxes, observed)
 
 
 Runs = tuple[NDArray[np.int64], NDArray[np.int64]]  # where each instance's values start and end
