@@ -32,7 +32,7 @@ from vlmm_log.pipeline.objects import aggregate
 from vlmm_log.pipeline.odometry import locate
 from vlmm_log.pipeline.run import World, empty_world
 from vlmm_log.pipeline.tracks import associate, carrying, remember
-from vlmm_log.pipeline.world_map import empty_map, background, still_points, update
+from vlmm_log.pipeline.world_map import background, empty_map, still_points, update
 from vlmm_log.settings import Settings
 from vlmm_log.types import Features, FramePair, Segments
 

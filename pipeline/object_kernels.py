@@ -230,8 +230,9 @@ def shapes(
 def carried_overlap(before: Int32, flow: Float32, share: np.float32, labels: Int32, areas: Int32, both: Int32) -> None:
     """Carry an earlier frame's masks by a share of its flow onto a frame's own masks.
 
-    flow (H / THIN, W, 2): of every THIN-th row. before (H, W): 0 none, i + 1 for mask i. areas (m,): pixels of each that stay in view; both (m, n): those of them
-    that land on each of the n instances of ``labels``, several on one pixel where a mask shrinks.
+    before (H, W): 0 none, i + 1 for mask i. flow (H / THIN, W, 2): of every THIN-th row. areas (m,): pixels of each
+    that stay in view; both (m, n): those of them that land on each of the n instances of ``labels``, several on one
+    pixel where a mask shrinks.
     """
     areas[:] = 0
     both[:] = 0

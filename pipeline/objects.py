@@ -11,7 +11,7 @@ from vlmm_log.elements import OBSERVATION, Observations, Sightings
 from vlmm_log.pipeline import object_kernels as ok
 from vlmm_log.pipeline.kernels import Camera
 from vlmm_log.settings import ObjectSettings
-from vlmm_log.types import Ego, Float32, Float64, FramePair, Int32, Motion, Odometry, Segments
+from vlmm_log.types import Ego, Float32, Float64, FramePair, Int32, Motion, Odometry, Segments, freeze
 
 f32 = np.float32
 
@@ -26,6 +26,9 @@ class Instances:
     mean: Float64  # (n, 3) m, of the points, in the first camera; NaN if there is none
     covariance: Float64  # (n, 6) m^2
     drift: Float64  # (n, 3) m, in the axes of Motion.residual
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def aggregate(

@@ -23,7 +23,7 @@ from vlmm_log.pipeline.tracks import Tracks, associate, carrying, remember
 from vlmm_log.pipeline.world_map import Still, background, empty_map, still_points, update
 from vlmm_log.protocols import Models, Observe, unseen
 from vlmm_log.settings import KeyframeSettings, Settings
-from vlmm_log.types import Ego, Features, Float32, Frame, FramePair, Odometry, Skipped
+from vlmm_log.types import Ego, Features, Float32, Frame, FramePair, Odometry, Skipped, freeze
 
 READ_AHEAD = 4  # frames
 
@@ -53,6 +53,9 @@ class Look:
     carrier: Float32  # see tracks.carrying
     still: Still
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 def step(pair: FramePair, world: World, models: Models, s: Settings, observe: Observe = unseen) -> World:
     """What this pair teaches."""
@@ -73,9 +76,7 @@ def look(pair: FramePair, models: Models, s: Settings, observe: Observe = unseen
     return Look(ego, instances, features, carrying(flow), still_points(pair, motion))
 
 
-def learn(
-    pair: FramePair, seen: Look, world: World, models: Models, s: Settings, observe: Observe = unseen
-) -> World:
+def learn(pair: FramePair, seen: Look, world: World, models: Models, s: Settings, observe: Observe = unseen) -> World:
     """What a look at the next pair teaches: where it was taken, which element each instance is, what they add up to."""
     ego = seen.ego
     odometry = observe(locate(pair, ego, world.odometry))

@@ -12,7 +12,7 @@ import numpy as np
 from vlmm_log.background import KEY_LIMIT, Background, empty_background, grown, summed
 from vlmm_log.elements import OBSERVATION, Evidence, Observations, Tracked, WorldMap
 from vlmm_log.settings import MapSettings
-from vlmm_log.types import Float64, FramePair, Motion, Odometry, UInt8
+from vlmm_log.types import Float64, FramePair, Motion, Odometry, UInt8, freeze
 
 CLOUD_STRIDE = 8  # every n-th row and column of a frame feeds the background
 
@@ -117,6 +117,9 @@ class Still:
 
     points: Float64  # (3, N) m, in the first camera
     colors: UInt8  # (N, 3)
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def still_points(pair: FramePair, motion: Motion) -> Still:
