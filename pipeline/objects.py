@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.elements import OBSERVATION, Observations, Sightings
+from vlmm_log.elements import OBSERVATION, Instances, Observations, Sightings
 from vlmm_log.pipeline import object_kernels as ok
 from vlmm_log.pipeline.kernels import Camera
 from vlmm_log.settings import ObjectSettings
-from vlmm_log.types import Ego, Float32, Float64, FramePair, Int32, Motion, Odometry, Segments, freeze
+from vlmm_log.types import Ego, Float32, Float64, FramePair, Motion, Odometry, Segments
 
 f32 = np.float32
-
-
-@dataclass(frozen=True, eq=False)
-class Instances:
-    """What a pair shows of each instance by itself: wherever its cameras stand."""
-
-    segments: Segments
-    rows: Observations  # (n,) but for position, extent and drift
-    boxes: Int32  # (n, 4) see Sightings
-    mean: Float64  # (n, 3) m, of the points, in the first camera; NaN if there is none
-    covariance: Float64  # (n, 6) m^2
-    drift: Float64  # (n, 3) m, in the axes of Motion.residual
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 def aggregate(

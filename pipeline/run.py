@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vlmm_log.elements import WorldMap
+from vlmm_log.elements import Instances, WorldMap
 from vlmm_log.pipeline.ego import refine_ego
 from vlmm_log.pipeline.flow import estimate_flow
 from vlmm_log.pipeline.fusion import fuse
 from vlmm_log.pipeline.keyframes import Gap, pairs, prefetched
 from vlmm_log.pipeline.matches import match
 from vlmm_log.pipeline.motion import measure_motion
-from vlmm_log.pipeline.objects import Instances, gather_instances, place
+from vlmm_log.pipeline.objects import gather_instances, place
 from vlmm_log.pipeline.odometry import locate
 from vlmm_log.pipeline.posterior import posterior
 from vlmm_log.pipeline.tracks import Tracks, associate, carrying, remember
@@ -72,7 +72,7 @@ def look(pair: FramePair, models: Models, s: Settings, observe: Observe = unseen
     if models.calibration is not None:
         observe(posterior(motion, models.calibration.pixel))
     features = observe(Features(models.embed.regions(pair.first, segments)))
-    instances = gather_instances(pair, segments, motion, s.objects)
+    instances = observe(gather_instances(pair, segments, motion, s.objects))
     return Look(ego, instances, features, carrying(flow), still_points(pair, motion))
 
 

@@ -79,7 +79,7 @@ def carrying(flow: FlowField) -> Float32:
 
 
 def remember(tracks: Tracks, tracked: Tracked, pair: FramePair, carrier: Float32, s: TrackSettings) -> Tracks:
-    """The tracks after a pair; ``carrier`` is of its flow. Elements unseen too long are forgotten; the map keeps them."""
+    """The tracks after a pair, ``carrier`` of its flow. Elements unseen too long are forgotten; the map keeps them."""
     rows, segments = tracked.sightings.rows, tracked.sightings.segments
     now = pair.first.stamp_ns
     live = {i: t for i, t in tracks.live.items() if now - t.last_ns <= s.forget_s * 1e9}

@@ -11,6 +11,8 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from vlmm_log.ask import Questions, parse
 from vlmm_log.interrupt import Interruption
 from vlmm_log.maps import MAP_SUFFIXES, SavedMap, save_map
@@ -187,7 +189,11 @@ class _Watching:
         failure: BaseException | None = None
         frames = self.log.frames(*_window(self.s))
         try:
-            with Interruption() as interruption, closing(keyframe_pairs(frames, self.s, self.tally)) as stream:
+            with (
+                threadpool_limits(1, user_api="blas"),  # no sum depends on how many cores there are
+                Interruption() as interruption,
+                closing(keyframe_pairs(frames, self.s, self.tally)) as stream,
+            ):
                 for item in stream if self.crew is None else self.crew.looks(stream, sink.made):
                     if interruption.asked:
                         break

@@ -134,6 +134,7 @@ def process(
     .bag, a ROS 2 bag folder, a .db3 or an .mcap.
     """
     from vlmm_log.api import process as run
+    from vlmm_log.heap import keep_pages
 
     settings = _settings(
         toml,
@@ -154,6 +155,7 @@ def process(
     )
     if rrd is None and mcap is None:
         rrd = Path(f"{source.absolute().name}.rrd")  # the closing table names it
+    keep_pages()
     with progress("pairs") as told:
         done = run(
             source,

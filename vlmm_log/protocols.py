@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from vlmm_log.calibration import Calibration
-from vlmm_log.elements import Movability, Sightings, Tracked, WorldMap
+from vlmm_log.elements import Instances, Movability, Sightings, Tracked, WorldMap
 from vlmm_log.queries import Answer
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import (
@@ -37,6 +37,7 @@ Result = (
     | Posterior
     | Odometry
     | Features
+    | Instances
     | Sightings
     | Tracked
     | WorldMap

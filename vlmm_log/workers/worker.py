@@ -12,6 +12,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from vlmm_log.heap import keep_pages
 from vlmm_log.pipeline.run import Look, look
 from vlmm_log.protocols import Make, Models
 from vlmm_log.settings import Settings
@@ -52,6 +53,7 @@ def work(connection: Connection, pairs: Sequence[Path], results: Sequence[Path],
     Says that they are open; then takes the sink's first half, and jobs, each of which it answers.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's to handle
+    keep_pages()
     slots = [(Slot(a), Slot(b)) for a, b in zip(pairs, results, strict=True)]
     with suppress(EOFError, OSError):  # the caller is gone
         connection.send(READY)
