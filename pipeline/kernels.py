@@ -100,14 +100,15 @@ def p_stat_table() -> Float32:
 def jit(kernel: F) -> F:
     """Compiled once for this user: the install may be read-only, and a file's own date does not tell what it calls."""
     njit = partial(numba.njit, error_model="numpy", nogil=True)
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = before or str(_cache())
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = before or str(_cache())
     try:
         return cast("F", njit(cache=True)(kernel))
     except (RuntimeError, OSError):  # no folder that can be written
         return cast("F", njit()(kernel))
     finally:
-        numba.config.CACHE_DIR = before
+        config.CACHE_DIR = before
 
 
 @cache
