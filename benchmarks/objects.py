@@ -31,8 +31,8 @@ from vlmm_log.pipeline.motion import measure_motion
 from vlmm_log.pipeline.objects import aggregate
 from vlmm_log.pipeline.odometry import locate
 from vlmm_log.pipeline.run import World, empty_world
-from vlmm_log.pipeline.tracks import associate, remember
-from vlmm_log.pipeline.world_map import empty_map, seen_background, update
+from vlmm_log.pipeline.tracks import associate, carrying, remember
+from vlmm_log.pipeline.world_map import background, empty_map, still_points, update
 from vlmm_log.settings import Settings
 from vlmm_log.types import Features, FramePair, Segments
 
@@ -75,9 +75,9 @@ def main() -> None:
         features = timed("embed, words", lambda: Features(embed.regions(now.first, segments)))
         stamp_ns = now.first.stamp_ns
         tracked = timed("associate", lambda: associate(seen, features, world.tracks, stamp_ns, s.tracks))
-        tracks = timed("remember", lambda: remember(world.tracks, tracked, now, flow, s.tracks))
-        background = timed("background", lambda: seen_background(now, motion, odometry, s.map.voxel_m))
-        updated = timed("update of the map", lambda: update(world.map, tracked, background))
+        tracks = timed("remember", lambda: remember(world.tracks, tracked, now, carrying(flow), s.tracks))
+        still = timed("background", lambda: background(still_points(now, motion), odometry, s.map.voxel_m))
+        updated = timed("update of the map", lambda: update(world.map, tracked, still))
         return World(timed("fuse", lambda: fuse(updated, prior, s.map)), tracks, True, odometry)
 
     def later(k: int) -> FramePair:

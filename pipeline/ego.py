@@ -6,7 +6,7 @@ to the world's origin. MSAC hypotheses from three matches each, then Gauss-Newto
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,7 @@ def refine_ego(matches: Matches, segments: Segments, s: EgoSettings, rng: np.ran
             inverse = grid.inverse_covariances(fit)
         d2 = grid.whitened(fit, inverse)
         if s.inlier == "sigma":  # the noise model may be off by a factor; the inlier test must not be
-            scale2 = float(np.clip(np.quantile(d2, 0.25) / CHI2_3_QUARTILE, 0.25, 4.0))
+            scale2 = float(np.clip(_quartile(d2) / CHI2_3_QUARTILE, 0.25, 4.0))
         fit, step, hessian = _gauss_newton(grid, fit, inverse, d2 / (cut * scale2), s)
         if np.abs(step).max() < CONVERGED:
             break
@@ -71,12 +71,21 @@ def refine_ego(matches: Matches, segments: Segments, s: EgoSettings, rng: np.ran
     return Ego(fit.T, fit.row_twist, covariance, correction, inlier_share, spread, grid.count, reliable)
 
 
+def _quartile(values: Float32) -> np.float32:
+    """np.quantile(values, 0.25), by one partition."""
+    k, quarters = divmod(values.size - 1, 4)
+    low, high = np.partition(values, (k, min(k + 1, values.size - 1)))[k : k + 2]
+    share = np.float32(quarters / 4)
+    return np.float32(low + (high - low) * share if share < 0.5 else high - (high - low) * (1 - share))
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A candidate: exp((v / H - 1/2) row_twist) @ T."""
 
     T: Float64
     row_twist: Float64
+    rows: dict[bytes, Float32] = field(default_factory=dict)  # by the image rows of a grid: made once
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +136,10 @@ class _Grid:
         return np.asarray(weight[label])
 
     def rows(self, fit: Fit) -> Float32:
-        return as_rows(row_transforms(fit.T, fit.row_twist, self.image_rows, self.height))
+        key = self.image_rows.tobytes()
+        if key not in fit.rows:
+            fit.rows[key] = as_rows(row_transforms(fit.T, fit.row_twist, self.image_rows, self.height))
+        return fit.rows[key]
 
     def inverse_covariances(self, fit: Fit) -> Float32:
         out = np.empty((6, self.count), np.float32)
@@ -178,7 +190,7 @@ def _consensus(
     a, b = first.T[triples].astype(np.float64), second.T[triples].astype(np.float64)
     candidates = np.concatenate([prior[None], se3.kabsch(a, b)])
     cost = np.empty(len(candidates), np.float32)
-    ek.msac(as_rows(candidates), first, second, inverse[:, sample], np.float32(cut), cost)
+    ek.msac(np.ascontiguousarray(as_rows(candidates).T), first, second, inverse[:, sample], np.float32(cut), cost)
     return np.asarray(candidates[int(np.argmin(cost))])
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vlmm_log.pipeline.kernels import jit
 from vlmm_log.types import Float32, Float64
 
-f32 = np.float32
+f32, f64 = np.float32, np.float64
 Int32 = NDArray[np.int32]
 
 
@@ -26,19 +26,21 @@ def points(g: Float32, rays: Float32, first: Float32, second: Float32) -> None:
 def msac(
     hypotheses: Float32, first: Float32, second: Float32, inverse: Float32, cut: np.float32, cost: Float32
 ) -> None:
-    """Sum over matches of min(d_M^2, cut) for each hypothesis (n, 12). Torr and Zisserman 2000."""
-    for k in range(hypotheses.shape[0]):
-        T = hypotheses[k]
-        total = f32(0)
-        for i in range(first.shape[1]):
-            a, b, c = first[0, i], first[1, i], first[2, i]
-            rx = second[0, i] - (T[0] * a + T[1] * b + T[2] * c + T[9])
-            ry = second[1, i] - (T[3] * a + T[4] * b + T[5] * c + T[10])
-            rz = second[2, i] - (T[6] * a + T[7] * b + T[8] * c + T[11])
-            q = rx * (inverse[0, i] * rx + f32(2) * (inverse[1, i] * ry + inverse[2, i] * rz))
-            q += ry * (inverse[3, i] * ry + f32(2) * inverse[4, i] * rz) + inverse[5, i] * rz * rz
-            total += min(q, cut)
-        cost[k] = total
+    """Sum over matches of min(d_M^2, cut) for each hypothesis (12, n). Torr and Zisserman 2000."""
+    T = hypotheses
+    cost[:] = 0
+    for i in range(first.shape[1]):
+        a, b, c = first[0, i], first[1, i], first[2, i]
+        x, y, z = second[0, i], second[1, i], second[2, i]
+        xx, xy, xz = inverse[0, i], inverse[1, i], inverse[2, i]
+        yy, yz, zz = inverse[3, i], inverse[4, i], inverse[5, i]
+        for k in range(cost.size):  # side by side: each one's sum is in the order of the matches
+            rx = x - (T[0, k] * a + T[1, k] * b + T[2, k] * c + T[9, k])
+            ry = y - (T[3, k] * a + T[4, k] * b + T[5, k] * c + T[10, k])
+            rz = z - (T[6, k] * a + T[7, k] * b + T[8, k] * c + T[11, k])
+            q = rx * (xx * rx + f32(2) * (xy * ry + xz * rz))
+            q += ry * (yy * ry + f32(2) * yz * rz) + zz * rz * rz
+            cost[k] += q if q < cut else cut
 
 
 @jit
@@ -72,51 +74,72 @@ def normal_equations(
     """
     moments[:] = 0.0
     gradients[:] = 0.0
-    J = np.zeros((3, 6))
-    WJ = np.empty((3, 6))
-    J[0, 3] = J[1, 4] = J[2, 5] = 1.0
-    block = np.zeros((6, 6))
-    side = np.zeros(6)
-    last = -1
-    for i in range(first.shape[1] + 1):
-        if i == first.shape[1] or row[i] != last:
-            if last >= 0:  # a row's sums are scaled once
-                r = share[last]
-                for a in range(6):
-                    gradients[0, a] += side[a]
-                    gradients[1, a] += r * side[a]
-                    for b in range(a, 6):
-                        moments[0, a, b] += block[a, b]
-                        moments[1, a, b] += r * block[a, b]
-                        moments[2, a, b] += r * r * block[a, b]
-                block[:] = 0.0
-                side[:] = 0.0
-            if i == first.shape[1]:
-                break
-            last = row[i]
-        w = weight[i]
-        if w == f32(0):
-            continue
-        T = rows[last]
-        a, b, c = first[0, i], first[1, i], first[2, i]
-        px = T[0] * a + T[1] * b + T[2] * c + T[9]
-        py = T[3] * a + T[4] * b + T[5] * c + T[10]
-        pz = T[6] * a + T[7] * b + T[8] * c + T[11]
-        rx, ry, rz = second[0, i] - px, second[1, i] - py, second[2, i] - pz
-        J[0, 1], J[0, 2], J[1, 0] = pz, -py, -pz
-        J[1, 2], J[2, 0], J[2, 1] = px, py, -px
-        mxx, mxy, mxz = w * inverse[0, i], w * inverse[1, i], w * inverse[2, i]
-        myy, myz, mzz = w * inverse[3, i], w * inverse[4, i], w * inverse[5, i]
+    n = first.shape[1]
+    i = 0
+    while i < n:  # row after row: its sums are scaled once
+        here = row[i]
+        r, T = share[here], rows[here]
+        b00 = b01 = b02 = b03 = b04 = b05 = b11 = b12 = b13 = b14 = b15 = 0.0  # J^T W J, rows of its upper triangle
+        b22 = b23 = b24 = b25 = b33 = b34 = b35 = b44 = b45 = b55 = 0.0
+        s0 = s1 = s2 = s3 = s4 = s5 = 0.0
+        while i < n and row[i] == here:
+            w = weight[i]
+            if w == f32(0):
+                i += 1
+                continue
+            a, b, c = first[0, i], first[1, i], first[2, i]
+            qx = T[0] * a + T[1] * b + T[2] * c + T[9]
+            qy = T[3] * a + T[4] * b + T[5] * c + T[10]
+            qz = T[6] * a + T[7] * b + T[8] * c + T[11]
+            rx, ry, rz = f64(second[0, i] - qx), f64(second[1, i] - qy), f64(second[2, i] - qz)
+            px, py, pz = f64(qx), f64(qy), f64(qz)
+            xx, xy, xz = f64(w * inverse[0, i]), f64(w * inverse[1, i]), f64(w * inverse[2, i])
+            yy, yz, zz = f64(w * inverse[3, i]), f64(w * inverse[4, i]), f64(w * inverse[5, i])
+            i += 1
+            # W J: the columns of J are (0, -pz, py), (pz, 0, -px), (-py, px, 0) and the axes
+            x0, y0, z0 = xz * py - xy * pz, yz * py - yy * pz, zz * py - yz * pz
+            x1, y1, z1 = xx * pz - xz * px, xy * pz - yz * px, xz * pz - zz * px
+            x2, y2, z2 = xy * px - xx * py, yy * px - xy * py, yz * px - xz * py
+            s0 += x0 * rx + y0 * ry + z0 * rz
+            s1 += x1 * rx + y1 * ry + z1 * rz
+            s2 += x2 * rx + y2 * ry + z2 * rz
+            s3 += xx * rx + xy * ry + xz * rz
+            s4 += xy * rx + yy * ry + yz * rz
+            s5 += xz * rx + yz * ry + zz * rz
+            b00 += py * z0 - pz * y0
+            b01 += py * z1 - pz * y1
+            b02 += py * z2 - pz * y2
+            b11 += pz * x1 - px * z1
+            b12 += pz * x2 - px * z2
+            b22 += px * y2 - py * x2
+            b03 += x0
+            b04 += y0
+            b05 += z0
+            b13 += x1
+            b14 += y1
+            b15 += z1
+            b23 += x2
+            b24 += y2
+            b25 += z2
+            b33 += xx
+            b34 += xy
+            b35 += xz
+            b44 += yy
+            b45 += yz
+            b55 += zz
+        side = (s0, s1, s2, s3, s4, s5)
+        block = (
+            (b00, b01, b02, b03, b04, b05),
+            (b01, b11, b12, b13, b14, b15),
+            (b02, b12, b22, b23, b24, b25),
+            (b03, b13, b23, b33, b34, b35),
+            (b04, b14, b24, b34, b44, b45),
+            (b05, b15, b25, b35, b45, b55),
+        )
         for k in range(6):
-            x, y, z = J[0, k], J[1, k], J[2, k]
-            WJ[0, k] = mxx * x + mxy * y + mxz * z
-            WJ[1, k] = mxy * x + myy * y + myz * z
-            WJ[2, k] = mxz * x + myz * y + mzz * z
-            side[k] += WJ[0, k] * rx + WJ[1, k] * ry + WJ[2, k] * rz
-        for k in range(6):
-            for j in range(k, 6):
-                block[k, j] += J[0, k] * WJ[0, j] + J[1, k] * WJ[1, j] + J[2, k] * WJ[2, j]
-    for k in range(3):
-        for a in range(6):
-            for b in range(a):
-                moments[k, a, b] = moments[k, b, a]
+            gradients[0, k] += side[k]
+            gradients[1, k] += r * side[k]
+            for j in range(6):
+                moments[0, k, j] += block[k][j]
+                moments[1, k, j] += r * block[k][j]
+                moments[2, k, j] += r * r * block[k][j]

@@ -8,16 +8,22 @@ in float64 stands in ``tests/textbook.py``.
 
 from __future__ import annotations
 
+import hashlib
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlmm_log.cache import cache_folder
 from vlmm_log.types import Float32, UInt8
 
 Int32 = NDArray[np.int32]
+F = TypeVar("F", bound=Callable[..., Any])
 
 f32 = np.float32
 
@@ -91,7 +97,26 @@ def p_stat_table() -> Float32:
 
 # No fastmath: what it reorders depends on which parts a cache held when the rest was compiled, and equal runs would
 # differ in their last bits. It gains 4 %.
-jit = numba.njit(cache=True, error_model="numpy", nogil=True)
+def jit(kernel: F) -> F:
+    """Compiled once for this user: the install may be read-only, and a file's own date does not tell what it calls."""
+    njit = partial(numba.njit, error_model="numpy", nogil=True)
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = before or str(_cache())
+    try:
+        return cast("F", njit(cache=True)(kernel))
+    except (RuntimeError, OSError):  # no folder that can be written
+        return cast("F", njit()(kernel))
+    finally:
+        config.CACHE_DIR = before
+
+
+@cache
+def _cache() -> Path:
+    """A folder for these very kernels: named by a digest of all of them, as they are compiled into one another."""
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources))
+    return cache_folder("kernels") / digest.hexdigest()[:16]
 
 
 @jit

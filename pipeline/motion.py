@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import functools
+from functools import cache, partial
 
 import numpy as np
 from scipy.special import chdtri
 
 from vlmm_log.pipeline import kernels
 from vlmm_log.pipeline.ego import as_rows, row_transforms
+from vlmm_log.pipeline.kernels import Inputs
 from vlmm_log.pipeline.matches import Matches
-from vlmm_log.types import Covariances, Ego, Float32, Motion
+from vlmm_log.types import Covariances, Ego, Float32, Motion, UInt8
 
 
 def measure_motion(matches: Matches, ego: Ego) -> Motion:
@@ -27,14 +28,17 @@ def measure_motion(matches: Matches, ego: Ego) -> Motion:
     residual, d_m, p_stat = block[:3], block[3], block[4]
     kernels.measure(inputs, rows, R_world_b, _p_table(), residual, d_m, p_stat, validity)
 
-    def covariances(stride: int) -> Covariances:
-        h, w = -(-H // stride), -(-W // stride)
-        upper, sigma_z = np.empty((6, h, w), np.float32), np.empty((h, w), np.float32)
-        kernels.sigma_m(stride, inputs, rows, R_world_b, validity, upper, sigma_z)
-        return Covariances(stride, upper, sigma_z)
-
     tau_px = float(np.sqrt(chdtri(3, matches.alpha)))
-    return Motion(residual, d_m, p_stat, validity, tau_px, covariances)
+    return Motion(residual, d_m, p_stat, validity, tau_px, partial(_covariances, inputs, rows, R_world_b, validity))
+
+
+def _covariances(inputs: Inputs, rows: Float32, R_world_b: Float32, validity: UInt8, stride: int) -> Covariances:
+    """See Motion."""
+    H, W = validity.shape
+    h, w = -(-H // stride), -(-W // stride)
+    upper, sigma_z = np.empty((6, h, w), np.float32), np.empty((h, w), np.float32)
+    kernels.sigma_m(stride, inputs, rows, R_world_b, validity, upper, sigma_z)
+    return Covariances(stride, upper, sigma_z)
 
 
 def _world_rotation(matches: Matches) -> Float32:
@@ -43,6 +47,6 @@ def _world_rotation(matches: Matches) -> Float32:
     return np.eye(3, dtype=np.float32) if T is None else np.ascontiguousarray(T[:3, :3], np.float32)
 
 
-@functools.cache
+@cache
 def _p_table() -> Float32:
     return kernels.p_stat_table()

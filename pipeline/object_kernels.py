@@ -230,8 +230,9 @@ def shapes(
 def carried_overlap(before: Int32, flow: Float32, share: np.float32, labels: Int32, areas: Int32, both: Int32) -> None:
     """Carry an earlier frame's masks by a share of its flow onto a frame's own masks.
 
-    before (H, W): 0 none, i + 1 for mask i. areas (m,): pixels of each that stay in view; both (m, n): those of them
-    that land on each of the n instances of ``labels``, several on one pixel where a mask shrinks.
+    before (H, W): 0 none, i + 1 for mask i. flow (H / THIN, W, 2): of every THIN-th row. areas (m,): pixels of each
+    that stay in view; both (m, n): those of them that land on each of the n instances of ``labels``, several on one
+    pixel where a mask shrinks.
     """
     areas[:] = 0
     both[:] = 0
@@ -241,8 +242,8 @@ def carried_overlap(before: Int32, flow: Float32, share: np.float32, labels: Int
             i = before[v, u] - 1
             if i < 0:
                 continue
-            x = np.int64(np.rint(f32(u) + share * flow[v, u, 0]))
-            y = np.int64(np.rint(f32(v) + share * flow[v, u, 1]))
+            x = np.int64(np.rint(f32(u) + share * flow[v // THIN, u, 0]))
+            y = np.int64(np.rint(f32(v) + share * flow[v // THIN, u, 1]))
             if x < 0 or y < 0 or x >= W or y >= H:
                 continue
             areas[i] += THIN

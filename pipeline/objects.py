@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.elements import OBSERVATION, Observations, Sightings
+from vlmm_log.elements import OBSERVATION, Instances, Observations, Sightings
 from vlmm_log.pipeline import object_kernels as ok
 from vlmm_log.pipeline.kernels import Camera
 from vlmm_log.settings import ObjectSettings
@@ -17,7 +17,12 @@ f32 = np.float32
 def aggregate(
     pair: FramePair, segments: Segments, motion: Motion, ego: Ego, odometry: Odometry, s: ObjectSettings
 ) -> Sightings:
-    """One row an instance. Those of an unreliable pair, or with too few scored pixels, are no observations."""
+    """One row an instance, in the world."""
+    return place(gather_instances(pair, segments, motion, s), pair, ego, odometry, s)
+
+
+def gather_instances(pair: FramePair, segments: Segments, motion: Motion, s: ObjectSettings) -> Instances:
+    """One row an instance, in the pair's own cameras."""
     first, n = pair.first, len(segments)
     tau = f32(motion.tau_px)
     counts, parts, boxes = np.empty((n, 3), np.int32), np.empty(n, np.int32), np.empty((n, 4), np.int32)
@@ -37,11 +42,17 @@ def aggregate(
     rows["o"] = _quantile(scores, by_score, s.quantile)
     _reliability(rows, sums, s)
     rows["part"] = parts / np.maximum(counts[:, 0], 1)
-    rows["drift"] = sums[:, 7:] / np.maximum(sums[:, :1], 1) @ _residual_axes(pair, odometry).T
     mean, cov = _shape(first.depth, pixels, depths, by_depth, first.K)
-    _place(rows, mean, cov, odometry.T_world_first)
+    return Instances(segments, rows, boxes, mean, cov, sums[:, 7:] / np.maximum(sums[:, :1], 1))
+
+
+def place(instances: Instances, pair: FramePair, ego: Ego, odometry: Odometry, s: ObjectSettings) -> Sightings:
+    """Instances in the world. Those of an unreliable pair, or with too few scored pixels, are no observations."""
+    rows = instances.rows.copy()
+    rows["drift"] = instances.drift @ _residual_axes(pair, odometry).T
+    _place(rows, instances.mean, instances.covariance, odometry.T_world_first)
     observed = (rows["scored"] >= s.min_scored) & ego.reliable & np.isfinite(rows["position"]).all(axis=1)
-    return Sightings(segments, rows, boxes, observed)
+    return Sightings(instances.segments, rows, instances.boxes, observed)
 
 
 Runs = tuple[NDArray[np.int64], NDArray[np.int64]]  # where each instance's values start and end

@@ -9,21 +9,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vlmm_log.elements import WorldMap
+from vlmm_log.elements import Instances, WorldMap
 from vlmm_log.pipeline.ego import refine_ego
 from vlmm_log.pipeline.flow import estimate_flow
 from vlmm_log.pipeline.fusion import fuse
 from vlmm_log.pipeline.keyframes import Gap, pairs, prefetched
 from vlmm_log.pipeline.matches import match
 from vlmm_log.pipeline.motion import measure_motion
-from vlmm_log.pipeline.objects import aggregate
+from vlmm_log.pipeline.objects import gather_instances, place
 from vlmm_log.pipeline.odometry import locate
 from vlmm_log.pipeline.posterior import posterior
-from vlmm_log.pipeline.tracks import Tracks, associate, remember
-from vlmm_log.pipeline.world_map import empty_map, seen_background, update
+from vlmm_log.pipeline.tracks import Tracks, associate, carrying, remember
+from vlmm_log.pipeline.world_map import Still, background, empty_map, still_points, update
 from vlmm_log.protocols import Models, Observe, unseen
 from vlmm_log.settings import KeyframeSettings, Settings
-from vlmm_log.types import Features, Frame, FramePair, Odometry, Skipped
+from vlmm_log.types import Ego, Features, Float32, Frame, FramePair, Odometry, Skipped, freeze
 
 READ_AHEAD = 4  # frames
 
@@ -43,29 +43,54 @@ def empty_world(s: Settings, *, has_poses: bool) -> World:
     return World(empty_map(s.map), Tracks(), has_poses)
 
 
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a pair shows by itself, whatever came before: all that ``learn`` asks of it."""
+
+    ego: Ego
+    instances: Instances
+    features: Features
+    carrier: Float32  # see tracks.carrying
+    still: Still
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
 def step(pair: FramePair, world: World, models: Models, s: Settings, observe: Observe = unseen) -> World:
     """What this pair teaches."""
+    return learn(pair, look(pair, models, s, observe), world, models, s, observe)
+
+
+def look(pair: FramePair, models: Models, s: Settings, observe: Observe = unseen) -> Look:
+    """What moved between the frames of a pair: needs nothing but the pair, so that pairs may be taken side by side."""
     flow = observe(estimate_flow(pair, models.flow))
     segments = observe(models.segment(pair.first))
     matches = observe(match(pair, flow, s.gate, s.noise))
     ego = observe(refine_ego(matches, segments, s.ego, randomness(s.seed, pair)))
     motion = observe(measure_motion(matches, ego))
-    curves = models.calibration
-    if curves is not None:
-        observe(posterior(motion, curves.pixel))
-    odometry = observe(locate(pair, ego, world.odometry))
-    sightings = observe(aggregate(pair, segments, motion, ego, odometry, s.objects))
+    if models.calibration is not None:
+        observe(posterior(motion, models.calibration.pixel))
     features = observe(Features(models.embed.regions(pair.first, segments)))
-    tracked = observe(associate(sightings, features, world.tracks, pair.first.stamp_ns, s.tracks))
-    after = replace(world, tracks=remember(world.tracks, tracked, pair, flow, s.tracks), odometry=odometry)
+    instances = observe(gather_instances(pair, segments, motion, s.objects))
+    return Look(ego, instances, features, carrying(flow), still_points(pair, motion))
+
+
+def learn(pair: FramePair, seen: Look, world: World, models: Models, s: Settings, observe: Observe = unseen) -> World:
+    """What a look at the next pair teaches: where it was taken, which element each instance is, what they add up to."""
+    ego = seen.ego
+    odometry = observe(locate(pair, ego, world.odometry))
+    sightings = observe(place(seen.instances, pair, ego, odometry, s.objects))
+    tracked = observe(associate(sightings, seen.features, world.tracks, pair.first.stamp_ns, s.tracks))
+    after = replace(world, tracks=remember(world.tracks, tracked, pair, seen.carrier, s.tracks), odometry=odometry)
     if world.has_poses and not odometry.anchored:
         first = pair.first
         observe(Skipped(first.stamp_ns, f"pair of frame {first.index}", "no pose yet: not in the map", first.index))
         return after
     if not ego.reliable:  # told by ``ego``; nothing of it enters the map
         return after
-    background = seen_background(pair, motion, odometry, s.map.voxel_m)
-    grown, curve = update(world.map, tracked, background), None if curves is None else curves.element
+    curve = None if models.calibration is None else models.calibration.element
+    grown = update(world.map, tracked, background(seen.still, odometry, s.map.voxel_m))
     return replace(after, map=observe(fuse(grown, models.prior, s.map, curve)))
 
 

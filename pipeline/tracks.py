@@ -38,7 +38,7 @@ class Carried:
 
     labels: Int32  # (H, W) 0: none; i + 1: instance i
     ids: Int64  # (n,) which element each instance is
-    flow: Float32  # (H, W, 2) px
+    flow: Float32  # (H / THIN, W, 2) px, of every THIN-th row
     first_ns: int
     second_ns: int
 
@@ -73,15 +73,20 @@ def associate(sightings: Sightings, features: Features, tracks: Tracks, first_ns
     return Tracked(sightings, features.vectors, ids, similarity)
 
 
-def remember(tracks: Tracks, tracked: Tracked, pair: FramePair, flow: FlowField, s: TrackSettings) -> Tracks:
-    """The tracks after a pair. Elements unseen for too long are forgotten here; the map keeps them."""
+def carrying(flow: FlowField) -> Float32:
+    """(H / THIN, W, 2) px, what of a flow carries masks on: every THIN-th row."""
+    return flow.forward[:: ok.THIN].copy()
+
+
+def remember(tracks: Tracks, tracked: Tracked, pair: FramePair, carrier: Float32, s: TrackSettings) -> Tracks:
+    """The tracks after a pair, ``carrier`` of its flow. Elements unseen too long are forgotten; the map keeps them."""
     rows, segments = tracked.sightings.rows, tracked.sightings.segments
     now = pair.first.stamp_ns
     live = {i: t for i, t in tracks.live.items() if now - t.last_ns <= s.forget_s * 1e9}
     spread = np.sqrt(np.maximum(rows["extent"][:, [0, 3, 5]].mean(axis=1), 0.0))
     for k, element in enumerate(tracked.ids.tolist()):
         live[element] = Track(segments.names[k], tracked.features[k], rows["position"][k], float(spread[k]), now)
-    carried = Carried(segments.labels, tracked.ids, flow.forward, now, pair.second.stamp_ns)
+    carried = Carried(segments.labels, tracked.ids, carrier, now, pair.second.stamp_ns)
     return Tracks(max(tracks.next_id, int(tracked.ids.max(initial=0)) + 1), live, carried)
 
 

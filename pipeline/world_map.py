@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import chain
 from typing import cast
 
@@ -11,7 +12,7 @@ import numpy as np
 from vlmm_log.background import KEY_LIMIT, Background, empty_background, grown, summed
 from vlmm_log.elements import OBSERVATION, Evidence, Observations, Tracked, WorldMap
 from vlmm_log.settings import MapSettings
-from vlmm_log.types import FramePair, Motion, Odometry
+from vlmm_log.types import Float64, FramePair, Motion, Odometry, UInt8, freeze
 
 CLOUD_STRIDE = 8  # every n-th row and column of a frame feeds the background
 
@@ -110,16 +111,33 @@ def _room_behind(rows: Observations) -> Observations | None:
 FREE = np.iinfo(np.int64).min  # second_ns of a row not taken: another map may have grown from the same list
 
 
-def seen_background(pair: FramePair, motion: Motion, odometry: Odometry, voxel_m: float) -> Background:
-    """Voxels of the first frame's pixels that are consistent with standing still."""
+@dataclass(frozen=True, eq=False)
+class Still:
+    """Points that are consistent with standing still."""
+
+    points: Float64  # (3, N) m, in the first camera
+    colors: UInt8  # (N, 3)
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def still_points(pair: FramePair, motion: Motion) -> Still:
+    """The first frame's still points, of every CLOUD_STRIDE-th row and column."""
     first, step = pair.first, CLOUD_STRIDE
     still = motion.d_m[::step, ::step] <= motion.tau_px  # False where NaN
     v, u = np.nonzero(still)
     v, u = v * step, u * step
     z = first.depth[v, u].astype(np.float64)
     rays = np.linalg.solve(first.K, np.stack([u, v, np.ones_like(u)]).astype(np.float64))
+    return Still(rays * z, first.rgb[v, u])
+
+
+def background(still: Still, odometry: Odometry, voxel_m: float) -> Background:
+    """Voxels of still points, in the world."""
     T = odometry.T_world_first
-    cells = np.floor((T[:3, :3] @ (rays * z) + T[:3, 3:]).T / voxel_m)
+    cells = np.floor((T[:3, :3] @ still.points + T[:3, 3:]).T / voxel_m)
     inside = (np.abs(cells) < KEY_LIMIT).all(axis=1)
-    sums = np.concatenate([np.ones((u.size, 1), np.int64), first.rgb[v, u].astype(np.int64)], axis=1)
+    colors = still.colors.astype(np.int64)
+    sums = np.concatenate([np.ones((len(colors), 1), np.int64), colors], axis=1)
     return summed(cells[inside].astype(np.int64), sums[inside], voxel_m)

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 GROUND = {"types", "background", "elements", "query_tree", "queries", "entries", "depth_pixels", "se3", "settings"}
-GROUND |= {"protocols", "calibration"}
+GROUND |= {"protocols", "calibration", "cache"}
 ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/types.py": set(),
     "vlmm_log/version.py": set(),
@@ -38,6 +38,9 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/comparison": GROUND | {"comparison", "pages", "recording", "sinks", "version"},
     "vlmm_log/batches": {"batches", "types", "outputs"},
     "vlmm_log/calibration.py": {"types", "settings"},
+    "vlmm_log/cache.py": set(),
+    "vlmm_log/heap.py": set(),
+    "vlmm_log/workers": GROUND | {"workers", "pipeline", "models", "sinks", "heap"},
     "vlmm_log/evaluation": GROUND | {"evaluation", "pages", "pipeline", "sinks", "version"},
 }
 FOREIGN = {  # what only some rooms may know

@@ -122,6 +122,6 @@ def test_msac_caps_what_an_outlier_costs():
     rigid = Fit(fit.T, np.zeros(6))
     d2 = grid.whitened(rigid, inverse).astype(float)
     cost = np.empty(1, np.float32)
-    rows = np.concatenate([fit.T[:3, :3].ravel(), fit.T[:3, 3]]).astype(np.float32)[None]
+    rows = np.concatenate([fit.T[:3, :3].ravel(), fit.T[:3, 3]]).astype(np.float32)[:, None]
     ego_kernels.msac(rows, grid.first, grid.second, inverse, np.float32(9), cost)
     assert cost[0] == pytest.approx(np.minimum(d2, 9).sum(), rel=1e-4)

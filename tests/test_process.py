@@ -7,7 +7,7 @@ import pytest
 
 import render_room
 import vlmm_log
-from vlmm_log.elements import Sightings, Tracked, WorldMap
+from vlmm_log.elements import Instances, Sightings, Tracked, WorldMap
 from vlmm_log.pipeline.matches import Matches
 from vlmm_log.sinks.memory import Memory
 from vlmm_log.types import Ego, Features, FlowField, FramePair, InputError, Motion, Odometry, Segments, Skipped
@@ -44,7 +44,7 @@ def test_every_stage_is_seen_once_a_pair_and_in_order(room):
     memory = Memory()
     done = vlmm_log.process(room, sinks=[memory])
     kinds = [type(r) for _, r in memory.seen if not isinstance(r, Skipped)]
-    stages = [FlowField, Segments, Matches, Ego, Motion, Odometry, Sightings, Features, Tracked, WorldMap]
+    stages = [FlowField, Segments, Matches, Ego, Motion, Features, Instances, Odometry, Sightings, Tracked, WorldMap]
     assert kinds == [FramePair, *stages] * 4
     assert [at.index for at, r in memory.seen if isinstance(r, Motion)] == [0, 1, 2, 3]
     assert done.end == memory.end

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vlmm_log.elements import OBSERVATION, Sightings
-from vlmm_log.pipeline.tracks import Carried, Tracks, _overlaps, associate, remember
+from vlmm_log.pipeline.tracks import Carried, Tracks, _overlaps, associate, carrying, remember
 from vlmm_log.settings import TrackSettings
 from vlmm_log.types import Features, FlowField, Frame, FramePair, Segments
 
@@ -41,7 +41,7 @@ def follow(scenes, *, flow=(0.0, 0.0), gap=1, s=S, step_ns=STEP_NS):
         frames = [Frame(k * step_ns, k, image, depth, np.eye(3)) for k in (t, t + gap)]
         forward = np.zeros((H, W, 2), np.float32)
         forward[:] = np.array(flow) * gap
-        tracks = remember(tracks, tracked, FramePair(*frames), FlowField(forward, -forward, depth), s)
+        tracks = remember(tracks, tracked, FramePair(*frames), carrying(FlowField(forward, -forward, depth)), s)
         found.append(tracked.ids.tolist())
     return found
 
@@ -148,7 +148,7 @@ def test_a_mask_that_shrinks_does_not_outweigh_the_rest():
     v, u = np.mgrid[0:H, 0:W]
     flow = np.stack([(25 + (u - 10) // 4) - u, (25 + (v - 10) // 4) - v], axis=-1).astype(np.float32)
     before, _ = scene([(10, 10, 40, 40)])
-    carried = Carried(before.segments.labels, np.array([1]), flow, 0, STEP_NS)
+    carried = Carried(before.segments.labels, np.array([1]), carrying(FlowField(flow, flow, flow[..., 0])), 0, STEP_NS)
     after, _ = scene([(25, 25, 10, 10)])
     overlap, known = _overlaps(after, carried, [1], STEP_NS)
     assert known.all() and 0 < overlap[0, 0] <= 1

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from vlmm_log.ask import Questions, parse
 from vlmm_log.interrupt import Interruption
 from vlmm_log.maps import MAP_SUFFIXES, SavedMap, save_map
 from vlmm_log.models.load import load_models
 from vlmm_log.outputs import claim
-from vlmm_log.pipeline.run import Tally, empty_world, expected_pairs, keyframe_pairs, step
-from vlmm_log.protocols import Log, Models, Moment, Progress, Sink
+from vlmm_log.pipeline.run import Tally, World, empty_world, expected_pairs, keyframe_pairs, learn, step
+from vlmm_log.protocols import Log, Models, Moment, Observe, Progress, Sink
 from vlmm_log.queries import Answer
 from vlmm_log.readers import opened
 from vlmm_log.readers.stamps import limit_ns
@@ -27,6 +29,8 @@ from vlmm_log.sinks.recorder import Recorder, Recording, open_recording
 from vlmm_log.sinks.summary import Summary
 from vlmm_log.types import Float64, FramePair, InputError, Run, RunEnd, Skipped
 from vlmm_log.version import __version__
+from vlmm_log.workers.crew import Crew
+from vlmm_log.workers.worker import Looked
 
 MCAP_SCHEMAS = ("ros2", "foxglove")
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "scipy", "rerun-sdk")
@@ -56,6 +60,7 @@ def process(
     sinks: Sequence[Sink] = (),
     force: bool = False,
     progress: Progress | None = None,
+    workers: int = 1,
 ) -> Processed:
     """Run the method on every keyframe pair of a log and show each intermediate result to the sinks.
 
@@ -63,7 +68,9 @@ def process(
     With ``rrd`` a Rerun recording is written beside and renamed once complete, with ``mcap`` an MCAP file of the same
     content (``mcap_schema`` "ros2" or "foxglove"), with ``map`` a map file (.json, .parquet, .ply); existing ones are
     replaced only with ``force``. Each query is answered at every pair and over the
-    whole map. Ctrl-C ends the run early and keeps the recordings; a map file is of whole runs only. Raises InputError
+    whole map. Ctrl-C ends the run early and keeps the recordings; a map file is of whole runs only. ``workers`` above 1
+    are processes that look at pairs side by side, with the same result to the bit; a script that asks for them does so
+    below ``if __name__ == "__main__":``, as they import it. Raises InputError
     where the source, the settings, a query or an output cannot be used, and where no pair could be processed.
     """
     s = settings or Settings()
@@ -82,19 +89,24 @@ def process(
     for path, suffix in ((target, ".rrd"), (mcap_target, ".mcap")):
         if path is not None and path.suffix != suffix:  # what is called otherwise is read otherwise
             raise InputError(f"{path}: a recording of this kind is called NAME{suffix}; name it so")
-    models, of_models = load_models(s)
-    run = Run(log.name, reader, s.to_toml(), versions() | of_models, log.has_poses, log.world_up, tuple(log.notes))
-    summary = Summary(noise_scale=s.noise.scale)
-    recordings = _recordings(target, mcap_target, mcap_schema, run)
-    recorders = [Recorder(recordings, dense=s.log.dense)] if recordings else []
-    told = None if progress is None else partial(_tell, progress, expected)
-    watching = _Watching(log, models, s, Questions(asked, models.embed, s.query, s.map, log.world_up), by_parser)
-    try:
-        end = watching.run(Many([summary, *sinks, *recorders]), told)
-    except Exception as e:
-        for kept in (r.written for r in recordings if r.written):
-            e.add_note(f"what was written until then is kept as {kept}")
-        raise
+    if workers < 1:
+        raise InputError(f"workers = {workers}: give 1 or more")
+    with Crew(workers, s) if workers > 1 else nullcontext() as crew:  # they load while we do
+        models, of_models = load_models(s)
+        run = Run(log.name, reader, s.to_toml(), versions() | of_models, log.has_poses, log.world_up, tuple(log.notes))
+        summary = Summary(noise_scale=s.noise.scale)
+        recordings = _recordings(target, mcap_target, mcap_schema, run)
+        recorders = [Recorder(recordings, dense=s.log.dense)] if recordings else []
+        told = None if progress is None else partial(_tell, progress, expected)
+        watching = _Watching(
+            log, models, s, Questions(asked, models.embed, s.query, s.map, log.world_up), by_parser, crew
+        )
+        try:
+            end = watching.run(Many([summary, *sinks, *recorders]), told)
+        except Exception as e:
+            for kept in (r.written for r in recordings if r.written):
+                e.add_note(f"what was written until then is kept as {kept}")
+            raise
     if not end.pairs and end.complete:
         raise InputError(f"{where}: no pair of frames could be processed{_why(summary)}")
     saved = SavedMap(watching.world.map, run, end, watching.origin_ns, watching.camera)
@@ -154,6 +166,7 @@ class _Watching:
     s: Settings
     questions: Questions
     told: tuple[str, ...]  # by the query parser
+    crew: Crew | None = None  # who looks at pairs, if others do
     origin_ns: int = 0  # stamp of the first pair
 
     def __post_init__(self) -> None:
@@ -170,24 +183,32 @@ class _Watching:
         """What the queries find in the map so far."""
         return self.questions.answers(self.world.map.columns, self.camera, self.origin_ns)
 
-    def run(self, sink: Sink, tell: Callable[[int], None] | None) -> RunEnd:
+    def run(self, sink: Many, tell: Callable[[int], None] | None) -> RunEnd:
         """All pairs."""
         complete = False
         failure: BaseException | None = None
         frames = self.log.frames(*_window(self.s))
         try:
-            with Interruption() as interruption, closing(keyframe_pairs(frames, self.s, self.tally)) as stream:
-                for item in stream:
+            with (
+                threadpool_limits(1, user_api="blas"),  # no sum depends on how many cores there are
+                Interruption() as interruption,
+                closing(keyframe_pairs(frames, self.s, self.tally)) as stream,
+            ):
+                for item in stream if self.crew is None else self.crew.looks(stream, sink.made):
                     if interruption.asked:
                         break
                     if isinstance(item, Skipped):
                         sink.write(item, Moment(item.stamp_ns, item.index, 0.0))
                         continue
-                    self.pair(item, sink)
+                    if isinstance(item, FramePair):
+                        self.pair(item, sink)
+                    else:
+                        self.looked(*item, sink)
                     if tell is not None:
                         tell(self.done)
                 else:
                     complete = True
+                    self._hear_out()
         except KeyboardInterrupt:
             pass  # what was written stays, and is marked as incomplete
         except BaseException as e:
@@ -202,12 +223,31 @@ class _Watching:
     def pair(self, pair: FramePair, sink: Sink) -> None:
         """One pair, and what the queries find after it."""
         observe = watched_by(sink, pair)
+        self._learned(pair, step(observe(pair), self.world, self.models, self.s, observe), observe)
+
+    def looked(self, pair: FramePair, by_worker: Looked, sink: Many) -> None:
+        """The same of a pair that a worker looked at."""
+        first = pair.first
+        watched_by(sink, pair)(pair)
+        for made, elapsed_ms in by_worker.made:
+            sink.take(made, Moment(first.stamp_ns, first.index, elapsed_ms))
+        observe = watched_by(sink, pair)
+        self._learned(pair, learn(pair, by_worker.look, self.world, self.models, self.s, observe), observe)
+
+    def _learned(self, pair: FramePair, world: World, observe: Observe) -> None:
         if not self.done:
             self.origin_ns = pair.first.stamp_ns
-        self.world = step(observe(pair), self.world, self.models, self.s, observe)
+        self.world = world
         for found in self.answers():
             observe(found)
         self.done += 1
+
+    def _hear_out(self) -> None:
+        """What workers used of the feature cache is part of what ours has to tell."""
+        cache = getattr(self.models.embed, "cache", None)
+        if self.crew is not None and cache is not None:
+            for used in self.crew.used():
+                cache.add(used)
 
 
 def _close(sink: Sink, end: RunEnd, failure: BaseException | None) -> None:

@@ -109,6 +109,7 @@ def _settings(
 @click.option("--gap", metavar="K", help="Distance of a pair: frames (3) or seconds (0.1s).")
 @click.option("--calibration", help="File of eval --calibrate: p_moving of pixels and elements.")
 @click.option("--dense", is_flag=True, help="Write full float32 tensors and covariances.")
+@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that share the work.")
 @click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
 @click.option("--json", "as_json", is_flag=True, help="Print the closing figures as JSON.")
 def process(
@@ -133,6 +134,7 @@ def process(
     stop: float | None,
     intrinsics: str | None,
     dense: bool,
+    workers: int,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -142,6 +144,7 @@ def process(
     .bag, a ROS 2 bag folder, a .db3 or an .mcap.
     """
     from vlmm_log.api import process as run
+    from vlmm_log.heap import keep_pages
 
     settings = _settings(
         toml,
@@ -162,6 +165,7 @@ def process(
     )
     if rrd is None and mcap is None:
         rrd = Path(f"{source.absolute().name}.rrd")  # the closing table names it
+    keep_pages()
     with progress("pairs") as told:
         done = run(
             source,
@@ -173,6 +177,7 @@ def process(
             settings=settings,
             force=force,
             progress=told,
+            workers=workers,
         )
     if as_json:
         click.echo(json.dumps(run_report(done), indent=2))

@@ -37,6 +37,21 @@ Observations = NDArray[np.void]  # of dtype OBSERVATION
 
 
 @dataclass(frozen=True, eq=False)
+class Instances:
+    """What a pair shows of each instance by itself: wherever its cameras stand."""
+
+    segments: Segments
+    rows: Observations  # (n,) but for position, extent and drift
+    boxes: Int32  # (n, 4) see Sightings
+    mean: Float64  # (n, 3) m, of the points, in the first camera; NaN if there is none
+    covariance: Float64  # (n, 6) m^2
+    drift: Float64  # (n, 3) m, in the axes of Motion.residual
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@dataclass(frozen=True, eq=False)
 class Sightings:
     """What a pair shows of each instance of its first frame."""
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from vlmm_log.calibration import Calibration
-from vlmm_log.elements import Movability, Sightings, Tracked, WorldMap
+from vlmm_log.elements import Instances, Movability, Sightings, Tracked, WorldMap
 from vlmm_log.queries import Answer
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import (
@@ -37,6 +37,7 @@ Result = (
     | Posterior
     | Odometry
     | Features
+    | Instances
     | Sightings
     | Tracked
     | WorldMap
@@ -168,6 +169,24 @@ class Sink(Protocol):
 
     def close(self, end: RunEnd) -> None:
         """Finish what was written. Called once, also when the run was interrupted."""
+        ...
+
+
+Make = Callable[[Result, FramePair], Any]
+"""What a sink makes of a result that a pair shows by itself: a pure function that another process can be sent."""
+
+
+@runtime_checkable
+class Halved(Protocol):
+    """A sink in two halves, of which the first may run in another process: ``take(made(result, pair), at)`` writes."""
+
+    @property
+    def made(self) -> Make:
+        """The first half."""
+        ...
+
+    def take(self, made: Any, at: Moment) -> None:
+        """The second half."""
         ...
 
 

@@ -38,6 +38,16 @@ class FeatureCache:
         self.computed += len(missing)
         return features
 
+    @property
+    def used(self) -> tuple[int, int, str]:
+        """Features found, features computed, why none is written any more."""
+        return self.hits, self.computed, self.note
+
+    def add(self, used: tuple[int, int, str]) -> None:
+        """What another process used of the same cache."""
+        hits, computed, note = used
+        self.hits, self.computed, self.note = self.hits + hits, self.computed + computed, self.note or note
+
     def __str__(self) -> str:
         return f"{self.hits} features found, {self.computed} computed{'; ' * bool(self.note)}{self.note}"
 

@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from vlmm_log.cache import cache_folder
 from vlmm_log.types import InputError
 
 RAFT_FILES = ("raft-things.pth", "raft_large_C_T_SKHT_V2-ff5fadd5.pth", "raft*.pth")  # the preferred ones first
@@ -29,8 +30,7 @@ def find_clip(given: str) -> Path:
 
 def user_cache() -> Path:
     """The folder for weights of this user."""
-    base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or str(Path.home() / ".cache")
-    return Path(base) / "vlmm-log" / "weights"
+    return cache_folder("weights")
 
 
 def fingerprint(path: Path) -> str:

@@ -88,7 +88,7 @@ def open_session(path: Path) -> Any:
     except ImportError as e:
         raise InputError("--segmenter yolo needs onnxruntime: pip install 'vlmm-log[yolo]'") from e
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = min(THREADS, os.cpu_count() or 1)
+    options.intra_op_num_threads = int(os.environ.get("OMP_NUM_THREADS") or min(THREADS, os.cpu_count() or 1))
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # waiting threads leave the core to us
     options.log_severity_level = 4  # what is wrong comes as an exception
     try:

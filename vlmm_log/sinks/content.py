@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from vlmm_log.elements import Tracked, WorldMap
+from vlmm_log.elements import Sightings, Tracked, WorldMap
 from vlmm_log.entries import Column, Entry, LabelNames, LogLine, Scalar, StateNames, Table
 from vlmm_log.protocols import Moment, Result
 from vlmm_log.queries import Answer
@@ -34,6 +35,45 @@ VALIDITY_NAMES = LabelNames(tuple((int(v), v.name.lower(), color) for v, color i
 STILL = LabelNames | StateNames  # what holds for the whole recording
 
 
+REMEMBERED = FramePair | Skipped | Odometry | Sightings | Tracked | WorldMap | Answer | Judgement
+"""What is told by what came before it. All else a pair shows by itself."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What recordings keep of one result, whenever it came."""
+
+    stage: str
+    named: tuple[Named, ...]
+    digest: int
+
+
+def told(result: Result, pair: FramePair, *, dense: bool) -> Told:
+    """Of a result that a pair shows by itself: the costly part of recording it, wherever that is done."""
+    return Told(stage_of(result) or "", tuple(_of_pair(result, pair, dense=dense)), digest(result))
+
+
+def _of_pair(result: Result, pair: FramePair, *, dense: bool) -> Iterator[Named]:
+    match result:
+        case FlowField():
+            yield from of_pair.of_flow(result, dense=dense)
+        case Segments():
+            yield from map(_warning, result.notes)
+        case Ego():
+            yield from of_pair.of_ego(result)
+            if not result.reliable:
+                share = f"{result.matches} matches, inlier share {result.inlier_share:.2f}"
+                yield _warning(f"ego_unreliable: {share}; do not trust this pair")
+        case Motion():
+            if not result.valid_share:
+                yield _warning("no pixel of this pair could be scored")
+            yield from of_pair.of_motion(pair, result, dense=dense)
+        case Posterior():
+            yield from of_pair.of_posterior(result, dense=dense)
+        case _:
+            pass
+
+
 class Content:
     """Results to entries. Remembers what was said already, so that it is said once."""
 
@@ -53,23 +93,34 @@ class Content:
 
     def of(self, result: Result, at: Moment) -> Iterator[Entry]:
         """The entries of one result."""
-        self._at = at
         if isinstance(result, FramePair):
             yield from self._ended_pair()
-            self._of_pair = at
-        yield from _entries(self._named(result, at), at)
-        stage = stage_of(result)
+            self._pair, self._of_pair = result, at
+        if not isinstance(result, REMEMBERED):
+            assert self._pair is not None, "a pair comes before what it shows"
+            yield from self.take(told(result, self._pair, dense=self._dense), at)
+            return
+        yield from self._told(stage_of(result), self._named(result, at), at)
+        if not isinstance(result, Skipped):
+            name = stage_of(result) or "input"
+            self._digests[name] = digest((self._digests[name], result) if name in self._digests else result)
+
+    def take(self, of_result: Told, at: Moment) -> Iterator[Entry]:
+        """The entries of a result of which ``told`` was made."""
+        yield from self._told(of_result.stage, of_result.named, at)
+        self._digests[of_result.stage] = of_result.digest
+
+    def _told(self, stage: str | None, named: Iterable[Named], at: Moment) -> Iterator[Entry]:
+        self._at = at
+        yield from _entries(named, at)
         if stage is not None:
             yield from _entries([(f"stats/stage_ms/{stage}", Scalar(at.elapsed_ms))], at)
-        if not isinstance(result, Skipped):
-            name = stage or "input"
-            self._digests[name] = digest((self._digests[name], result) if name in self._digests else result)
 
     def rest(self, end: RunEnd) -> Iterator[Entry]:
         """What is left to say."""
         yield from self._ended_pair()
-        told = [("log", LogLine(text, "INFO")) for text in end.told]
-        yield from _entries([*told, *self._map.rest()], self._at)
+        lines = [("log", LogLine(text, "INFO")) for text in end.told]
+        yield from _entries([*lines, *self._map.rest()], self._at)
 
     def _ended_pair(self) -> Iterator[Entry]:
         """Digests of all stages of a pair: what tells where two runs part, beyond what lean fields show."""
@@ -84,26 +135,9 @@ class Content:
     def _named(self, result: Result, at: Moment) -> Iterator[Named]:
         match result:
             case FramePair():
-                self._pair = result
                 yield from self._of_frame(result.first)
             case Skipped():
                 yield _warning(f"{result.what}: {result.reason}")
-            case FlowField():
-                yield from of_pair.of_flow(result, dense=self._dense)
-            case Segments():
-                yield from map(_warning, result.notes)
-            case Ego():
-                yield from of_pair.of_ego(result)
-                if not result.reliable:
-                    share = f"{result.matches} matches, inlier share {result.inlier_share:.2f}"
-                    yield _warning(f"ego_unreliable: {share}; do not trust this pair")
-            case Motion():
-                assert self._pair is not None, "a pair comes before its motion"
-                if not result.valid_share:
-                    yield _warning("no pixel of this pair could be scored")
-                yield from of_pair.of_motion(self._pair, result, dense=self._dense)
-            case Posterior():
-                yield from of_pair.of_posterior(result, dense=self._dense)
             case Odometry():
                 yield "world/camera", of_pair.of_pose(result.T_world_first)
             case Tracked():

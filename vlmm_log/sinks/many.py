@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
-from vlmm_log.protocols import Moment, Observe, R, Result, Sink
+from vlmm_log.protocols import Halved, Make, Moment, Observe, R, Result, Sink
 from vlmm_log.types import FramePair, RunEnd
 
 
@@ -19,6 +21,19 @@ class Many:
         """Pass the result on."""
         for sink in self.sinks:
             sink.write(result, at)
+
+    @property
+    def made(self) -> Make:
+        """See protocols.Halved. A sink that is not takes the result itself."""
+        return partial(_all_made, [s.made if isinstance(s, Halved) else _itself for s in self.sinks])
+
+    def take(self, made: Sequence[Any], at: Moment) -> None:
+        """See protocols.Halved."""
+        for sink, own in zip(self.sinks, made, strict=True):
+            if isinstance(sink, Halved):
+                sink.take(own, at)
+            else:
+                sink.write(own, at)
 
     def close(self, end: RunEnd) -> None:
         """Close every sink, also when one of them fails."""
@@ -34,6 +49,14 @@ class Many:
             raise errors[0]
 
 
+def _all_made(makes: Sequence[Make], result: Result, pair: FramePair) -> list[Any]:
+    return [make(result, pair) for make in makes]
+
+
+def _itself(result: Result, _pair: FramePair) -> Result:
+    return result
+
+
 def watched_by(sink: Sink, pair: FramePair) -> Observe:
     """An identity function that shows a pair's results to a sink, with the time that each stage took."""
     first = pair.first
@@ -47,3 +70,18 @@ def watched_by(sink: Sink, pair: FramePair) -> Observe:
         return result
 
     return observe
+
+
+def made_by(make: Make, pair: FramePair) -> tuple[Observe, list[tuple[Any, float]]]:
+    """An identity function that keeps what a sink's first half makes of results, and what each stage took, ms."""
+    kept: list[tuple[Any, float]] = []
+    since = time.perf_counter()
+
+    def observe(result: R, /) -> R:
+        nonlocal since
+        elapsed_ms = 1e3 * (time.perf_counter() - since)
+        kept.append((make(result, pair), elapsed_ms))  # type: ignore[arg-type]
+        since = time.perf_counter()
+        return result
+
+    return observe, kept

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from vlmm_log.entries import Entry
-from vlmm_log.protocols import Moment, Result
-from vlmm_log.sinks.content import Content
+from vlmm_log.protocols import Make, Moment, Result
+from vlmm_log.sinks.content import Content, Told, told
 from vlmm_log.types import FramePair, InputError, RunEnd
 
 
@@ -60,6 +61,7 @@ class Recorder:
 
     def __init__(self, recordings: Sequence[Recording], *, dense: bool) -> None:
         self.recordings = recordings
+        self.made: Make = partial(told, dense=dense)
         self._content = Content(dense=dense)
         self._put(self._content.begin())
 
@@ -68,6 +70,10 @@ class Recorder:
         if isinstance(result, FramePair):
             self._each(lambda container: container.pair_begins())
         self._put(self._content.of(result, at))
+
+    def take(self, made: Told, at: Moment) -> None:
+        """See protocols.Halved."""
+        self._put(self._content.take(made, at))
 
     def close(self, end: RunEnd) -> None:
         """Finish all recordings, and put the complete ones in their place.

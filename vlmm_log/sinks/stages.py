@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vlmm_log.elements import Sightings, Tracked, WorldMap
+from vlmm_log.elements import Instances, Sightings, Tracked, WorldMap
 from vlmm_log.queries import Answer
 from vlmm_log.types import (
     Ego,
@@ -24,7 +24,8 @@ _NAMES: dict[type, str] = {
     Motion: "motion",
     Posterior: "posterior",
     Odometry: "odometry",
-    Sightings: "aggregate",
+    Instances: "aggregate",
+    Sightings: "place",
     Features: "embed",
     Tracked: "associate",
     WorldMap: "map",

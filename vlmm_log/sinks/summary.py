@@ -3,13 +3,42 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 
-from vlmm_log.protocols import Moment, Result
+from vlmm_log.protocols import Make, Moment, Result
 from vlmm_log.sinks.stages import stage_of
-from vlmm_log.types import CHI2_3_MEDIAN, Ego, Motion, RunEnd, Segments, Skipped
+from vlmm_log.types import CHI2_3_MEDIAN, Ego, FramePair, Motion, RunEnd, Segments, Skipped
+
+
+@dataclass(frozen=True)
+class Noted:
+    """What the figures need of one result."""
+
+    stage: str | None
+    values: Mapping[str, float] = field(default_factory=dict)  # for the lists of these names
+    skipped: tuple[str, ...] = ()  # reasons
+    unreliable: bool = False
+
+
+def noted(result: Result, _pair: FramePair | None = None) -> Noted:
+    """What the figures need of a result."""
+    stage = stage_of(result)
+    match result:
+        case Skipped():
+            return Noted(stage, skipped=(result.reason,))
+        case Segments():
+            return Noted(stage, {"instances": len(result)}, result.notes)
+        case Ego():
+            return Noted(stage, {"inlier_share": result.inlier_share}, unreliable=not result.reliable)
+        case Motion() if result.valid_share:
+            medians = {"static_d_m2": result.static_d_m2_median, "residual_m": result.median_norm}
+            return Noted(stage, {"coverage": result.valid_share, "flagged": result.flagged_share} | medians)
+        case Motion():
+            return Noted(stage, {"coverage": result.valid_share})
+        case _:
+            return Noted(stage)
 
 
 @dataclass
@@ -31,27 +60,22 @@ class Summary:
 
     def write(self, result: Result, at: Moment) -> None:
         """Take what the closing table needs."""
-        stage = stage_of(result)
-        if stage is not None:
-            self.stage_ms[stage].append(at.elapsed_ms)
-        match result:
-            case Skipped():
-                self.skipped[result.reason] += 1
-            case Segments():
-                self.instances.append(len(result))
-                self.skipped.update(result.notes)
-            case Ego():
-                self.unreliable_pairs += not result.reliable
-                self.inlier_share.append(result.inlier_share)
-            case Motion():
-                self.pairs += 1
-                self.coverage.append(result.valid_share)
-                if result.valid_share:
-                    self.flagged.append(result.flagged_share)
-                    self.static_d_m2.append(result.static_d_m2_median)
-                    self.residual_m.append(result.median_norm)
-            case _:
-                pass
+        self.take(noted(result), at)
+
+    @property
+    def made(self) -> Make:
+        """See protocols.Halved."""
+        return noted
+
+    def take(self, made: Noted, at: Moment) -> None:
+        """See protocols.Halved."""
+        if made.stage is not None:
+            self.stage_ms[made.stage].append(at.elapsed_ms)
+        self.pairs += made.stage == "motion"
+        self.unreliable_pairs += made.unreliable
+        self.skipped.update(made.skipped)
+        for name, value in made.values.items():
+            getattr(self, name).append(value)
 
     def close(self, end: RunEnd) -> None:
         """Keep how the run ended."""
