@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.pipeline.kernels import jit
+from vlmm_log.compiled import jit
 from vlmm_log.types import Float32, Float64
 
 f32, f64 = np.float32, np.float64

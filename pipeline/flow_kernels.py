@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from vlmm_log.pipeline.kernels import jit
+from vlmm_log.compiled import jit
 from vlmm_log.types import Float32
 
 f32 = np.float32

@@ -8,22 +8,16 @@ in float64 stands in ``tests/textbook.py``.
 
 from __future__ import annotations
 
-import hashlib
 import math
-from collections.abc import Callable
-from functools import cache, partial
-from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log.cache import cache_folder
+from vlmm_log.compiled import jit
 from vlmm_log.types import Float32, UInt8
 
 Int32 = NDArray[np.int32]
-F = TypeVar("F", bound=Callable[..., Any])
 
 f32 = np.float32
 
@@ -93,30 +87,6 @@ def p_stat_table() -> Float32:
     d2 = np.linspace(0.0, P_TABLE_MAX, P_TABLE_SIZE)
     tail = [math.erfc(math.sqrt(x / 2)) + math.sqrt(2 * x / math.pi) * math.exp(-x / 2) for x in d2]
     return np.array(tail, np.float32)
-
-
-# No fastmath: what it reorders depends on which parts a cache held when the rest was compiled, and equal runs would
-# differ in their last bits. It gains 4 %.
-def jit(kernel: F) -> F:
-    """Compiled once for this user: the install may be read-only, and a file's own date does not tell what it calls."""
-    njit = partial(numba.njit, error_model="numpy", nogil=True)
-    config: Any = numba.config
-    before = config.CACHE_DIR
-    config.CACHE_DIR = before or str(_cache())
-    try:
-        return cast("F", njit(cache=True)(kernel))
-    except (RuntimeError, OSError):  # no folder that can be written
-        return cast("F", njit()(kernel))
-    finally:
-        config.CACHE_DIR = before
-
-
-@cache
-def _cache() -> Path:
-    """A folder for these very kernels: named by a digest of all of them, as they are compiled into one another."""
-    sources = sorted(Path(__file__).parent.glob("*.py"))
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources))
-    return cache_folder("kernels") / digest.hexdigest()[:16]
 
 
 @jit
@@ -377,7 +347,6 @@ def sigma_m(
     camera, m = x.camera, x.model
     s = np.empty(PLANES * BLOCK, np.float32)
     status = np.empty(BLOCK, np.uint8)
-    S = np.empty((3, 3), np.float32)
     inv_fx = f32(1) / camera.fx
     for j in range(h):
         v = j * stride
@@ -399,28 +368,16 @@ def sigma_m(
                 _, _, _, sxx, sxy, sxz, syy, syz, szz = sheared(_match(s, i), nax, nay, T, lateral, m)
                 sigma_z[j, i0 + i] = math.sqrt(szz)
                 # undo the shear: S^-1 Sigma S^-T
-                S[0, 2] = sxz + nx * szz
-                S[1, 2] = syz + ny * szz
-                S[0, 0] = sxx + nx * sxz + nx * S[0, 2]
-                S[0, 1] = sxy + ny * sxz + nx * S[1, 2]
-                S[1, 1] = syy + ny * syz + ny * S[1, 2]
-                S[2, 2] = szz
-                S[1, 0], S[2, 0], S[2, 1] = S[0, 1], S[0, 2], S[1, 2]
-                _turned(S, R_world_b, upper[:, j, i0 + i])
-
-
-@jit
-def _turned(S: Float32, R: Float32, upper: Float32) -> None:
-    """The upper triangle of R S R^T: xx, xy, xz, yy, yz, zz."""
-    k = 0
-    for a in range(3):
-        for b in range(a, 3):
-            total = f32(0)
-            for c in range(3):
-                for d in range(3):
-                    total += R[a, c] * S[c, d] * R[b, d]
-            upper[k] = total
-            k += 1
+                xz, yz = sxz + nx * szz, syz + ny * szz
+                xx, xy = sxx + nx * sxz + nx * xz, sxy + ny * sxz + nx * yz
+                yy = syy + ny * syz + ny * yz
+                k = 0
+                for a in range(3):  # the upper triangle of R S R^T
+                    ra, rb, rc = R_world_b[a, 0], R_world_b[a, 1], R_world_b[a, 2]
+                    mx, my, mz = ra * xx + rb * xy + rc * xz, ra * xy + rb * yy + rc * yz, ra * xz + rb * yz + rc * szz
+                    for b in range(a, 3):
+                        upper[k, j, i0 + i] = mx * R_world_b[b, 0] + my * R_world_b[b, 1] + mz * R_world_b[b, 2]
+                        k += 1
 
 
 @jit

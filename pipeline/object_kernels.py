@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from vlmm_log.pipeline.kernels import Camera, jit
+from vlmm_log.compiled import jit
+from vlmm_log.pipeline.kernels import Camera
 from vlmm_log.types import Float32, Float64, Int32, Int64
 
 f32 = np.float32

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlmm_log.calibration import Curve
-from vlmm_log.pipeline.kernels import jit
+from vlmm_log.compiled import jit
 from vlmm_log.types import Float32, Motion, Posterior
 
 SHIFT = 16  # bits of a float32 that are dropped: its bins are at most 0.8 % wide

@@ -62,7 +62,7 @@ def encode(values: UInt16, form: Form) -> bytes:
                 raise ValueError(f"depth of {values.shape} px cannot be encoded")
             return header + file.tobytes()
         case "rvl":
-            from vlmm_log.readers import rvl
+            from vlmm_log import rvl
 
             return header + SIZE.pack(values.shape[1], values.shape[0]) + rvl.encode(values)
     assert_never(form)
@@ -85,7 +85,7 @@ def _parts(data: bytes | memoryview) -> tuple[tuple[float, float] | None, bytes 
 
 
 def _from_rvl(body: bytes | memoryview) -> UInt16:
-    from vlmm_log.readers import rvl  # here: it brings a compiler along
+    from vlmm_log import rvl  # here: it brings a compiler along
 
     if len(body) <= SIZE.size:
         raise ImageError("RVL image ends within its header")

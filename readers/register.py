@@ -43,9 +43,9 @@ def register(depth: Float32, K_depth: Float64, K_rgb: Float64, T_rgb_depth: Floa
 
 @cache
 def _compiled(kernel: Callable[..., None]) -> Any:
-    import numba  # half a second that logs with registered depth need not wait for
+    from vlmm_log.compiled import jit  # half a second that logs with registered depth need not wait for
 
-    return numba.njit(cache=True, nogil=True, error_model="numpy")(kernel)
+    return jit(kernel)
 
 
 def _check_rigid(T: Float64) -> None:

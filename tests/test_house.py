@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 GROUND = {"types", "background", "elements", "query_tree", "queries", "entries", "depth_pixels", "se3", "settings"}
-GROUND |= {"protocols", "calibration", "cache"}
+GROUND |= {"protocols", "calibration", "cache", "compiled", "rvl"}
 ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/types.py": set(),
     "vlmm_log/version.py": set(),
@@ -39,6 +39,8 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/batches": {"batches", "types", "outputs"},
     "vlmm_log/calibration.py": {"types", "settings"},
     "vlmm_log/cache.py": set(),
+    "vlmm_log/compiled.py": {"cache"},
+    "vlmm_log/rvl.py": {"types", "compiled"},
     "vlmm_log/heap.py": set(),
     "vlmm_log/workers": GROUND | {"workers", "pipeline", "models", "sinks", "heap"},
     "vlmm_log/evaluation": GROUND | {"evaluation", "pages", "pipeline", "sinks", "version"},
@@ -61,7 +63,7 @@ FOREIGN = {  # what only some rooms may know
     "urllib3": {"vlmm_log/models"},
     "ray": {"vlmm_log/batches/cluster.py"},
     "pyarrow": {"vlmm_log/batches", "vlmm_log/maps", "vlmm_log/recording", "vlmm_log/sinks"},
-    "numba": {"pipeline", "readers", "vlmm_log/simulation"},
+    "numba": {"vlmm_log/compiled.py"},
     "click": {"vlmm_log/cli.py", "vlmm_log/progress.py"},
 }
 SOURCES = sorted(p for d in ("vlmm_log", "readers", "pipeline") for p in (ROOT / d).rglob("*.py"))

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tum_folder import png
-from vlmm_log.readers import compressed_depth, rvl
+from vlmm_log import rvl
+from vlmm_log.readers import compressed_depth
 from vlmm_log.readers.images import ImageError, decode_depth, decode_rgb, depth_values, media_type
 from vlmm_log.readers.stored import StoredImage
 

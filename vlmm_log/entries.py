@@ -47,6 +47,14 @@ class Raster:
 
 
 @dataclass(frozen=True, eq=False)
+class Steps:
+    """A dense field of numbers to the nearest step, of ``rvl.encode_steps``. Read back, it is a Raster."""
+
+    image: bytes
+    step: float
+
+
+@dataclass(frozen=True, eq=False)
 class Labels:
     """A class or an identity at each pixel."""
 
@@ -186,6 +194,7 @@ Value = (
     Picture
     | DepthMap
     | Raster
+    | Steps
     | Labels
     | LabelNames
     | Pose

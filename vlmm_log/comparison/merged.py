@@ -51,14 +51,12 @@ class Merged:
             batcher_config=rr.ChunkBatcherConfig(flush_tick=1e6, flush_num_bytes=1 << 20),
         )
         self._sides = [RerunValues(self._rec, f"{side}/") for side in SIDES]
-        self._delta = RerunValues(self._rec, "delta/")
+        self._delta = RerunValues(self._rec, "delta/", RANGES)
         self._rec.save(path, default_blueprint=merged_blueprint())
         self._rec.send_recording_name(" | ".join(readable(Path(r.path.name)) for r in recordings))
-        for recording, side, values in zip(recordings, SIDES, self._sides, strict=True):
+        for recording, side in zip(recordings, SIDES, strict=True):
             self._rec.log(f"{side}/world", UP[recording.run.world_up], static=True)
-            values.looks()
         self._drawn = [Redrawn(values) for values in self._sides]
-        self._delta.looks(RANGES)
         for entity in MASKS:
             self._delta.put(Entry(entity, DIFFERS, None, None))
 

@@ -18,7 +18,7 @@ from vlmm_log.pages.pictures import coloured, data_uri
 from vlmm_log.recording import Recording
 from vlmm_log.sinks.map_entries import id_color
 from vlmm_log.sinks.pair_entries import IMAGE
-from vlmm_log.sinks.rerun_values import LATER_LOOKS, LOOKS
+from vlmm_log.sinks.rerun_values import LOOKS
 from vlmm_log.types import UInt8
 
 ENTITIES = (
@@ -93,7 +93,7 @@ def picture(entity: str, value: Value) -> UInt8 | None:
             except ValueError:
                 return None
         case Raster(values, ()):
-            low, high, name = {**LOOKS, **LATER_LOOKS}.get(entity, (0.0, 1.0, "viridis"))
+            low, high, name = LOOKS.get(entity, (0.0, 1.0, "viridis"))
             colors = {"turbo": cv2.COLORMAP_TURBO, "viridis": cv2.COLORMAP_VIRIDIS, "magma": cv2.COLORMAP_MAGMA}
             return coloured(values, low, high, colors[name])
         case Raster(values, ("u", "v")):

@@ -78,8 +78,13 @@ def _picture(c: Cells) -> Picture:
     return Picture(_blob(c["blob"]), _text(c["media_type"]))
 
 
-def _encoded_depth(c: Cells) -> DepthMap:
+def _encoded_depth(c: Cells) -> Raster | DepthMap:
+    """A field in steps, which only this project logs as RVL; or depth as its source had it."""
     meter = float(numbers(c["meter"])[0])
+    if _text(c["media_type"]) == "application/rvl":
+        from vlmm_log import rvl  # here: it brings a compiler along
+
+        return Raster(rvl.decode_steps(numbers(c["blob"]).data, 1 / meter))
     return DepthMap(EncodedImage(_blob(c["blob"]), _text(c["media_type"]), meter), meter)
 
 
@@ -149,7 +154,7 @@ READERS: dict[str, Reader] = {  # archetype -> fields that it needs, how they ar
     "Boxes2D": _reader(_boxes, "centers half_sizes", "colors"),
     "Clear": _reader(lambda _: Table({}), ""),
     "DepthImage": _reader(_field, "buffer format", "colormap depth_range"),
-    "EncodedDepthImage": _reader(_encoded_depth, "blob media_type meter"),
+    "EncodedDepthImage": _reader(_encoded_depth, "blob media_type meter", "colormap depth_range"),
     "EncodedImage": _reader(_picture, "blob media_type"),
     "Pinhole": _reader(_camera, "image_from_camera resolution", "camera_xyz"),
     "Points3D": _reader(_cloud, "positions colors radii"),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vlmm_log.simulation.kernels import jit
+from vlmm_log.compiled import jit
 
 ROUNDS = 6  # of the fixed point, at most
 STILL_PX = 2e-3  # it moves by less in the last one

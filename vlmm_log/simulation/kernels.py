@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
+from vlmm_log.compiled import jit
+
 f32 = np.float32
-jit = numba.njit(cache=True, error_model="numpy", nogil=True)  # no fastmath: equal runs are to be equal
 
 
 class Lens(NamedTuple):

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vlmm_log.simulation.kernels import f32, jit
+from vlmm_log.compiled import jit
+from vlmm_log.simulation.kernels import f32
 from vlmm_log.types import Float32, Int32
 
 LATTICE = 32  # nodes a side of the noise's period: the table fits a core's cache

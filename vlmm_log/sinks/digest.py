@@ -31,6 +31,8 @@ def _add(h: xxhash.xxh3_64, value: object) -> None:
             for key, item in value.items():
                 _text(h, repr(key))
                 _add(h, item)
+        case tuple() if all(isinstance(item, str) for item in value):
+            _text(h, repr(value))
         case tuple() | list():
             _text(h, f"{len(value)}")
             for item in value:

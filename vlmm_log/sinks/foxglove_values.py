@@ -30,6 +30,7 @@ from vlmm_log.entries import (
     Scalar,
     StateNames,
     States,
+    Steps,
     Table,
 )
 from vlmm_log.ros.mcap import Definition
@@ -107,7 +108,7 @@ class FoxgloveValues:
                 yield _message(topic, fox.Log(timestamp=at, level=LEVELS[level], message=text, name="vlmm-log"))
             case States(lanes):
                 yield Message(topic, TEXT, _json({"data": ", ".join(lanes)}))
-            case StateNames() | Look():
+            case StateNames() | Look() | Steps():  # steps come unpacked
                 return
             case _:
                 assert_never(value)

@@ -112,7 +112,7 @@ class MapEntries:
         lookup = np.concatenate([[0], classes]).astype(np.uint16)
         named = zip(classes, result.ids, segments.names, strict=True)  # the nameless keep the viewer's own colours
         names = {0: ""} | {int(c): f"{i} {name}" for c, i, name in named if name}
-        yield f"{IMAGE}/instances", Labels(lookup[segments.labels])
+        yield f"{IMAGE}/instances", Labels(np.take(lookup, segments.labels))
         if names.items() <= self._names.items():
             return
         self._names |= names

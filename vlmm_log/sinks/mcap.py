@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from vlmm_log.entries import Entry
+from vlmm_log.entries import Entry, Raster, Steps
 from vlmm_log.ros.mcap import Definition, Mcap, Publication, open_mcap
 from vlmm_log.ros.messages import END_NS
+from vlmm_log.rvl import decode_steps
 from vlmm_log.types import InputError, Run, RunEnd
 
 RUN, END = "vlmm_log", "vlmm_log_end"  # metadata records
@@ -87,6 +89,8 @@ class McapFile:
         if not 0 <= stamp_ns < END_NS:
             raise InputError(f"{self._path}: stamp {stamp_ns} ns is beyond what MCAP of ROS holds; write --rrd alone")
         sequence = 0 if entry.index is None else entry.index + 1
+        if isinstance(entry.value, Steps):  # for other tools: few read RVL, none the step
+            entry = replace(entry, value=Raster(decode_steps(entry.value.image, entry.value.step)))
         kind = type(entry.value).__name__
         for message in self._dialect.messages(entry, stamp_ns):
             about = (("entity", entry.entity), ("value", kind), ("part", message.part))

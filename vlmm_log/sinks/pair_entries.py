@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vlmm_log import se3
-from vlmm_log.entries import Arrows, Camera, DepthMap, LabelNames, Labels, Picture, Pose, Raster, Scalar, Value
+from vlmm_log import rvl, se3
+from vlmm_log.entries import Arrows, Camera, DepthMap, LabelNames, Labels, Picture, Pose, Raster, Scalar, Steps, Value
 from vlmm_log.sinks import views
-from vlmm_log.types import Ego, Float64, FlowField, Frame, FramePair, Judgement, Motion, Posterior
+from vlmm_log.types import Ego, Float32, Float64, FlowField, Frame, FramePair, Judgement, Motion, Posterior
 
 IMAGE = "world/camera/image"
 VECTORS = f"{IMAGE}/residual/vectors"
@@ -22,6 +22,9 @@ JUDGED_NAMES: Mapping[str, LabelNames] = {  # of what only judged runs hold
         tuple((int(o), o.name.lower().replace("_", " "), color) for o, color in views.OUTCOME_COLORS.items())
     ),
 }
+D_M_STEP = P_STEP = 2.0**-6
+FB_STEP = 2.0**-6  # px
+NORM_STEP = 2.0**-13  # m
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 MOVED = (230, 159, 0)
 
@@ -61,9 +64,8 @@ def of_flow(flow: FlowField, *, dense: bool) -> Iterator[Named]:
         yield f"{IMAGE}/flow/tensor", Raster(np.ascontiguousarray(planar), ("u", "v"))
         yield f"{IMAGE}/flow/fb_error", Raster(flow.fb_error)
     else:
-        thin = np.ascontiguousarray(views.half(planar[:, ::2, ::2]))
-        yield f"{IMAGE}/flow/tensor", Raster(thin, ("u", "v"))
-        yield f"{IMAGE}/flow/fb_error", Raster(views.half(flow.fb_error[::2, ::2]))
+        yield f"{IMAGE}/flow/tensor", Raster(views.half(planar[:, ::4, ::4]), ("u", "v"))  # as coarse as DIS is
+        yield f"{IMAGE}/flow/fb_error", _steps(flow.fb_error[::2, ::2], FB_STEP)
 
 
 def of_ego(ego: Ego) -> Iterator[Named]:
@@ -84,25 +86,29 @@ def of_motion(pair: FramePair, motion: Motion, *, dense: bool) -> Iterator[Named
         yield "stats/median_residual", Scalar(motion.median_norm)
     path = f"{IMAGE}/residual"
     yield f"{IMAGE}/validity", Labels(motion.validity)
-    thin = motion.covariances(1 if dense else 4)
-    fields: dict[str, NDArray[np.floating]]
     if dense:
+        full = motion.covariances(1)
         yield f"{path}/tensor", Raster(motion.residual, ("x", "y", "z"))
-        fields = {"d_m": motion.d_m, "p_stat": motion.p_stat, "norm": motion.norm, "sigma_z": thin.sigma_z}
-        covariance: NDArray[np.floating] = thin.upper
+        yield f"{path}/d_m", Raster(motion.d_m)
+        yield f"{path}/p_stat", Raster(motion.p_stat)
+        yield f"{path}/norm", Raster(motion.norm)
+        yield f"{path}/sigma_z", Raster(full.sigma_z)
+        yield f"{path}/covariance", Raster(full.upper, COVARIANCE)
     else:
-        coarse = {"p_stat": motion.p_stat[::2, ::2], "norm": motion.norm[::2, ::2], "sigma_z": thin.sigma_z}
-        fields = {name: views.half(values) for name, values in {"d_m": motion.d_m, **coarse}.items()}
-        covariance = views.half(thin.upper * 1e4)  # cm^2: metres squared underflow half precision
-    yield from ((f"{path}/{name}", Raster(values)) for name, values in fields.items())
-    yield f"{path}/covariance", Raster(covariance, COVARIANCE)
+        thin = motion.covariances(4)
+        yield f"{path}/d_m", _steps(motion.d_m, D_M_STEP)
+        yield f"{path}/p_stat", _steps(motion.p_stat[::2, ::2], P_STEP)
+        yield f"{path}/norm", _steps(motion.norm[::2, ::2], NORM_STEP)
+        yield f"{path}/sigma_z", _steps(thin.sigma_z, NORM_STEP)
+        cm2 = thin.upper[:, ::2, ::2] * 1e4  # metres squared underflow half precision
+        yield f"{path}/covariance", Raster(views.half(cm2), COVARIANCE)
     yield VECTORS, Arrows(*views.moved_arrows(motion, pair.first, pair.second), color=MOVED)
 
 
 def of_posterior(posterior: Posterior, *, dense: bool) -> Iterator[Named]:
     """How likely each pixel moved."""
     p = posterior.p_moving
-    yield f"{IMAGE}/residual/p_moving", Raster(p if dense else views.half(p[::2, ::2]))
+    yield f"{IMAGE}/residual/p_moving", Raster(p) if dense else _steps(p[::2, ::2], P_STEP)
 
 
 def of_judgement(judgement: Judgement, *, dense: bool) -> Iterator[Named]:
@@ -111,6 +117,10 @@ def of_judgement(judgement: Judgement, *, dense: bool) -> Iterator[Named]:
     yield OUTCOME, Labels(judgement.outcome)
     yield f"{IMAGE}/score", Raster(judgement.score if dense else views.half(judgement.score))
     yield from ((f"metrics/{name}", Scalar(float(value))) for name, value in judgement.figures.items())
+
+
+def _steps(field: Float32, step: float) -> Steps:
+    return Steps(rvl.encode_steps(field, step), step)
 
 
 def _jpeg(rgb: NDArray[np.uint8], quality: int) -> bytes:

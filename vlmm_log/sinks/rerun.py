@@ -78,8 +78,7 @@ class RerunFile:
         )
         rec.log("run", document(run), static=True)
         rec.log("world", UP[run.world_up], static=True)
-        self._values.looks()
-        rec.flush()  # settings and looks are on disk before the first pair, whatever comes
+        rec.flush()  # settings are on disk before the first pair, whatever comes
 
 
 def document(run: Run) -> rr.TextDocument:

@@ -29,6 +29,7 @@ from vlmm_log.entries import (
     Scalar,
     StateNames,
     States,
+    Steps,
     Table,
     Value,
 )
@@ -37,6 +38,9 @@ from vlmm_log.sinks.pair_entries import IMAGE
 from vlmm_log.sinks.scalars import ScalarColumns
 from vlmm_log.types import EncodedImage
 
+RVL = "application/rvl"
+BLOB = pa.list_(pa.field("item", pa.uint8(), nullable=False))  # Rerun's type of bytes
+
 Range = tuple[float, float, Literal["turbo", "viridis", "magma"]]
 LOOKS: Mapping[str, Range] = {  # range and colours
     f"{IMAGE}/residual/d_m": (0.0, 8.0, "turbo"),
@@ -44,8 +48,6 @@ LOOKS: Mapping[str, Range] = {  # range and colours
     f"{IMAGE}/residual/sigma_z": (0.0, 0.1, "viridis"),
     f"{IMAGE}/residual/p_stat": (0.0, 1.0, "viridis"),
     f"{IMAGE}/flow/fb_error": (0.0, 2.0, "magma"),
-}
-LATER_LOOKS: Mapping[str, Range] = {  # of what few recordings hold: told with the first value
     f"{IMAGE}/residual/p_moving": (0.0, 1.0, "magma"),
     f"{IMAGE}/score": (0.0, 8.0, "turbo"),
 }
@@ -60,24 +62,18 @@ STATE_COLORS = {  # fused class, and what an element does at present
 class RerunValues:
     """Logs entries to a stream, each below ``prefix``. Scalars wait for ``flush``."""
 
-    def __init__(self, rec: rr.RecordingStream, prefix: str = "") -> None:
+    def __init__(self, rec: rr.RecordingStream, prefix: str = "", looks: Mapping[str, Range] = LOOKS) -> None:
         self._rec, self._prefix = rec, prefix
         self._scalars = ScalarColumns(rec)
         self._at: tuple[int | None, int | None] = (None, None)
-        self._untold = dict(LATER_LOOKS)
+        self._untold = dict(looks)
         rec.set_log_time_enabled(False)  # nothing but the input decides what is written
-
-    def looks(self, ranges: Mapping[str, Range] = LOOKS) -> None:
-        """Colours of the dense fields, once."""
-        for entity, (low, high, colors) in ranges.items():
-            look = rr.DepthImage.from_fields(meter=1.0, colormap=colors, depth_range=[low, high])
-            self._rec.log(self._prefix + entity, look, static=True)
 
     def put(self, entry: Entry) -> None:
         """Log one entry."""
         entity = self._prefix + entry.entity
         if entry.entity in self._untold:
-            self.looks({entry.entity: self._untold.pop(entry.entity)})
+            self._rec.log(entity, _look(entry.value, self._untold.pop(entry.entity)), static=True)
         if isinstance(entry.value, Scalar) and entry.stamp_ns is not None:
             self._scalars.add(entity, entry.stamp_ns, entry.index, entry.value.value)
             return
@@ -102,15 +98,28 @@ class RerunValues:
         self._rec.set_time("time", timestamp=np.datetime64(stamp_ns, "ns"))
 
 
+def _look(value: Value, look: Range) -> Any:
+    """Range and colours of a dense field."""
+    low, high, colors = look
+    if isinstance(value, Steps):  # the media type here too, or the viewer warns of what it cannot guess
+        steps = [low / value.step, high / value.step]
+        return rr.EncodedDepthImage.from_fields(
+            meter=1 / value.step, colormap=colors, depth_range=steps, media_type=RVL
+        )
+    return rr.DepthImage.from_fields(meter=1.0, colormap=colors, depth_range=[low, high])
+
+
 def archetypes(value: Value) -> list[Any]:
     """What Rerun logs of a value."""
     match value:
         case Picture(data, media_type):
-            return [rr.EncodedImage(contents=data, media_type=media_type)]
+            return [rr.EncodedImage(contents=_blob(data), media_type=media_type)]
         case DepthMap(stored, units):
             if isinstance(stored, EncodedImage):
-                return [rr.EncodedDepthImage(blob=stored.data, media_type=stored.media_type, meter=units)]
+                return [rr.EncodedDepthImage(blob=_blob(stored.data), media_type=stored.media_type, meter=units)]
             return [rr.DepthImage(stored, meter=units)]
+        case Steps(image, step):
+            return [rr.EncodedDepthImage(blob=_blob(image), media_type=RVL, meter=1 / step)]
         case Raster(values, ()):
             return [rr.DepthImage(values)]
         case Raster(values, channels):
@@ -144,6 +153,12 @@ def archetypes(value: Value) -> list[Any]:
             return []
         case _:
             assert_never(value)
+
+
+def _blob(data: bytes) -> Any:
+    """Bytes as Rerun takes them without a copy of its own."""
+    inner = pa.Array.from_buffers(pa.uint8(), len(data), [None, pa.py_buffer(data)])
+    return rr.components.BlobBatch(pa.ListArray.from_arrays(pa.array([0, len(data)], pa.int32()), inner, BLOB))
 
 
 def _boxes(boxes: Boxes) -> rr.Boxes2D:

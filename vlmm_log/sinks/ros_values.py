@@ -29,6 +29,7 @@ from vlmm_log.entries import (
     Scalar,
     StateNames,
     States,
+    Steps,
     Table,
 )
 from vlmm_log.ros.mcap import ros2_definition
@@ -107,7 +108,7 @@ class Ros2Values:
                 )
             case States(lanes):
                 yield self._message(topic, "std_msgs/msg/String", ", ".join(lanes))
-            case StateNames() | Look():
+            case StateNames() | Look() | Steps():  # steps come unpacked
                 return
             case _:
                 assert_never(value)

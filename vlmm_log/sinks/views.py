@@ -34,17 +34,17 @@ OUTCOME_COLORS: dict[Outcome, tuple[int, int, int]] = {
 
 def half(values: NDArray[np.floating]) -> NDArray[np.float16]:
     """Half precision, clipped to what it can hold."""
-    return np.asarray(np.clip(values, -65504.0, 65504.0), np.float16)
+    return np.asarray(np.clip(np.ascontiguousarray(values), -65504.0, 65504.0), np.float16)
 
 
 def flow_color(flow: Float32) -> UInt8:
     """(h, w, 3) RGB at half the resolution: direction as hue, length as saturation, 99th percentile full."""
-    coarse = np.ascontiguousarray(flow[::2, ::2])
-    length, angle = cv2.cartToPolar(coarse[..., 0], coarse[..., 1], angleInDegrees=True)
+    size = (-(-flow.shape[1] // 2), -(-flow.shape[0] // 2))
+    u, v = cv2.split(cv2.resize(flow, size, interpolation=cv2.INTER_NEAREST))
+    length, angle = cv2.cartToPolar(u, v, angleInDegrees=True)
     longest = max(float(np.percentile(length[::4, ::4], 99)), 1.0)
-    hsv = np.full((*length.shape, 3), 255, np.uint8)
-    hsv[..., 0] = angle * 0.5
-    hsv[..., 1] = np.minimum(length * (255.0 / longest), 255.0)
+    hue, saturation = cv2.convertScaleAbs(angle, alpha=0.5), cv2.convertScaleAbs(length, alpha=255.0 / longest)
+    hsv = cv2.merge([hue, saturation, np.full_like(hue, 255)])
     return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB), np.uint8)
 
 
