@@ -24,8 +24,14 @@ CHI2_3_QUARTILE = 1.2125329030456688  # a quarter of still points is below it
 
 def row_transforms(T_second_first: Float64, row_twist: Float64, rows: NDArray[np.int64], height: int) -> Float64:
     """(n, 4, 4) transforms of image rows: exp((v / H - 1/2) row_twist) @ T_second_first."""
-    share = rows / height - 0.5
-    return np.asarray(se3.exp(share[:, None] * row_twist) @ T_second_first)
+    return _moved(T_second_first, row_twist, rows / height - 0.5)
+
+
+def _moved(T: Float64, twist: Float64, shares: Float64) -> Float64:
+    """(n, 4, 4): exp(share twist) @ T."""
+    out = np.zeros((shares.size, 4, 4))
+    ek.moved(np.ascontiguousarray(T), np.ascontiguousarray(twist), shares, out)
+    return out
 
 
 def as_rows(T: Float64) -> Float32:
@@ -209,10 +215,11 @@ def _gauss_newton(
     if s.model == "rigid":
         normal, side = moments[0], gradients[0]
     else:
-        normal = np.block([[moments[0], moments[1]], [moments[1], moments[2]]])
         precision = np.repeat([s.row_prior_rad, s.row_prior_m], 3) ** -2.0
-        normal[6:, 6:] += np.diag(precision)
+        normal = np.empty((12, 12))
+        normal[:6, :6], normal[:6, 6:], normal[6:, :6] = moments[0], moments[1], moments[1]
+        normal[6:, 6:] = moments[2] + np.diag(precision)
         side = np.concatenate([gradients[0], gradients[1] - precision * fit.row_twist])
     step = np.zeros(12)
     step[: side.size] = np.linalg.lstsq(normal, side, rcond=1e-12)[0]
-    return Fit(se3.exp(step[:6]) @ fit.T, fit.row_twist + step[6:]), step, normal
+    return Fit(_moved(fit.T, step[:6], np.ones(1))[0], fit.row_twist + step[6:]), step, normal

@@ -3,6 +3,8 @@ see that one change."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,37 @@ from vlmm_log.types import Float32, Float64
 
 f32, f64 = np.float32, np.float64
 Int32 = NDArray[np.int32]
+
+
+@jit
+def moved(T: Float64, twist: Float64, share: Float64, out: Float64) -> None:
+    """exp(share[i] twist) @ T of motions (4, 4) into out (n, 4, 4), which is zeros: ``se3.exp``, share by share."""
+    x, y, z = twist[0], twist[1], twist[2]
+    a, b, c = twist[3], twist[4], twist[5]
+    E = np.empty((3, 4))
+    for i in range(share.size):
+        s = share[i]
+        angle2 = s * s * (x * x + y * y + z * z)
+        if angle2 < 1e-12:
+            p, q, r = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0, 1.0 / 6.0
+        else:
+            angle = math.sqrt(angle2)
+            p, q = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
+            r = (angle - math.sin(angle)) / (angle2 * angle)
+        wx, wy, wz = s * x, s * y, s * z
+        xx, xy, xz = -wy * wy - wz * wz, wx * wy, wx * wz  # of the squared cross product matrix
+        yy, yz, zz = -wx * wx - wz * wz, wy * wz, -wx * wx - wy * wy
+        E[0, 0], E[0, 1], E[0, 2] = 1.0 + q * xx, q * xy - p * wz, q * xz + p * wy
+        E[1, 0], E[1, 1], E[1, 2] = q * xy + p * wz, 1.0 + q * yy, q * yz - p * wx
+        E[2, 0], E[2, 1], E[2, 2] = q * xz - p * wy, q * yz + p * wx, 1.0 + q * zz
+        ta, tb, tc = s * a, s * b, s * c
+        E[0, 3] = (1.0 + r * xx) * ta + (r * xy - q * wz) * tb + (r * xz + q * wy) * tc
+        E[1, 3] = (r * xy + q * wz) * ta + (1.0 + r * yy) * tb + (r * yz - q * wx) * tc
+        E[2, 3] = (r * xz - q * wy) * ta + (r * yz + q * wx) * tb + (1.0 + r * zz) * tc
+        for j in range(3):
+            for k in range(4):
+                out[i, j, k] = E[j, 0] * T[0, k] + E[j, 1] * T[1, k] + E[j, 2] * T[2, k] + E[j, 3] * T[3, k]
+        out[i, 3, 3] = 1.0
 
 
 @jit
