@@ -33,13 +33,10 @@ from vlmm_log.entries import (
     Table,
     Value,
 )
+from vlmm_log.sinks.columns import RVL, Columns, blobs, tensors
 from vlmm_log.sinks.map_entries import id_color
 from vlmm_log.sinks.pair_entries import IMAGE
-from vlmm_log.sinks.scalars import ScalarColumns
 from vlmm_log.types import EncodedImage
-
-RVL = "application/rvl"
-BLOB = pa.list_(pa.field("item", pa.uint8(), nullable=False))  # Rerun's type of bytes
 
 Range = tuple[float, float, Literal["turbo", "viridis", "magma"]]
 LOOKS: Mapping[str, Range] = {  # range and colours
@@ -60,11 +57,11 @@ STATE_COLORS = {  # fused class, and what an element does at present
 
 
 class RerunValues:
-    """Logs entries to a stream, each below ``prefix``. Scalars wait for ``flush``."""
+    """Logs entries to a stream, each below ``prefix``. Small values wait for ``flush``."""
 
     def __init__(self, rec: rr.RecordingStream, prefix: str = "", looks: Mapping[str, Range] = LOOKS) -> None:
         self._rec, self._prefix = rec, prefix
-        self._scalars = ScalarColumns(rec)
+        self._columns = Columns(rec)
         self._at: tuple[int | None, int | None] = (None, None)
         self._untold = dict(looks)
         rec.set_log_time_enabled(False)  # nothing but the input decides what is written
@@ -74,8 +71,7 @@ class RerunValues:
         entity = self._prefix + entry.entity
         if entry.entity in self._untold:
             self._rec.log(entity, _look(entry.value, self._untold.pop(entry.entity)), static=True)
-        if isinstance(entry.value, Scalar) and entry.stamp_ns is not None:
-            self._scalars.add(entity, entry.stamp_ns, entry.index, entry.value.value)
+        if self._columns.take(entity, entry):
             return
         if entry.stamp_ns is not None:
             self._set_time(entry.stamp_ns, entry.index)
@@ -84,8 +80,8 @@ class RerunValues:
             self._rec.log(entity, *shown, static=entry.stamp_ns is None)
 
     def flush(self) -> None:
-        """Send the scalars that wait."""
-        self._scalars.flush()
+        """Send what waits."""
+        self._columns.flush()
 
     def _set_time(self, stamp_ns: int, index: int | None) -> None:
         if (stamp_ns, index) == self._at:
@@ -113,19 +109,22 @@ def archetypes(value: Value) -> list[Any]:
     """What Rerun logs of a value."""
     match value:
         case Picture(data, media_type):
-            return [rr.EncodedImage(contents=_blob(data), media_type=media_type)]
+            return [rr.EncodedImage(contents=blobs(data), media_type=media_type)]
         case DepthMap(stored, units):
             if isinstance(stored, EncodedImage):
-                return [rr.EncodedDepthImage(blob=_blob(stored.data), media_type=stored.media_type, meter=units)]
+                return [rr.EncodedDepthImage(blob=blobs(stored.data), media_type=stored.media_type, meter=units)]
             return [rr.DepthImage(stored, meter=units)]
         case Steps(image, step):
-            return [rr.EncodedDepthImage(blob=_blob(image), media_type=RVL, meter=1 / step)]
+            return [rr.EncodedDepthImage(blob=blobs(image), media_type=RVL, meter=1 / step)]
         case Raster(values, ()):
             return [rr.DepthImage(values)]
-        case Raster(values, channels):
-            return [rr.Tensor(values, dim_names=["_".join(channels), "height", "width"])]
+        case Raster():
+            return [rr.Tensor.from_fields(data=tensors(value))]
         case Labels(values):
-            return [rr.SegmentationImage(values)]
+            kind = rr.ChannelDatatype.from_np_dtype(values.dtype)
+            size = rr.components.ImageFormat(width=values.shape[1], height=values.shape[0], channel_datatype=kind)
+            pixels = blobs(values)
+            return [rr.SegmentationImage.from_fields(buffer=pixels, format=size)]
         case LabelNames(classes):
             return [rr.AnnotationContext(list(classes))]
         case Pose(translation, quaternion):
@@ -153,12 +152,6 @@ def archetypes(value: Value) -> list[Any]:
             return []
         case _:
             assert_never(value)
-
-
-def _blob(data: bytes) -> Any:
-    """Bytes as Rerun takes them without a copy of its own."""
-    inner = pa.Array.from_buffers(pa.uint8(), len(data), [None, pa.py_buffer(data)])
-    return rr.components.BlobBatch(pa.ListArray.from_arrays(pa.array([0, len(data)], pa.int32()), inner, BLOB))
 
 
 def _boxes(boxes: Boxes) -> rr.Boxes2D:

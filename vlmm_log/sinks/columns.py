@@ -1,0 +1,118 @@
+"""Small values sent in columns, many rows at once: one by one, handing them over costs more than writing them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+from numpy.typing import NDArray
+
+from vlmm_log.entries import Entry, Picture, Raster, Scalar, Steps, Value
+
+ROWS = 32  # of an entity, until they are sent
+SMALL = 1 << 17  # bytes
+RVL = "application/rvl"
+BYTES = pa.list_(pa.field("item", pa.uint8(), nullable=False))  # Rerun's type of a blob
+TENSOR = rr.components.TensorDataBatch(rr.components.TensorData(array=np.zeros(1))).as_arrow_array().type
+
+
+class Columns:
+    """Gathers values by entity and sends each entity's once enough are there."""
+
+    def __init__(self, rec: rr.RecordingStream) -> None:
+        self._rec = rec
+        self._rows: dict[tuple[str, type], list[Entry]] = {}
+
+    def take(self, entity: str, entry: Entry) -> bool:
+        """Whether the entry goes by columns; then it waits for its time."""
+        if entry.stamp_ns is None or entry.index is None or _size(entry.value) > SMALL:
+            return False
+        rows = self._rows.setdefault((entity, type(entry.value)), [])
+        rows.append(entry)
+        if len(rows) >= ROWS:
+            self._send(entity, rows)
+            rows.clear()
+        return True
+
+    def flush(self) -> None:
+        """Send what is left."""
+        for (entity, _), rows in self._rows.items():
+            if rows:
+                self._send(entity, rows)
+        self._rows.clear()
+
+    def _send(self, entity: str, rows: Sequence[Entry]) -> None:
+        stamps = np.array([entry.stamp_ns for entry in rows], "datetime64[ns]")
+        frames = [entry.index for entry in rows if entry.index is not None]
+        times = [rr.TimeColumn("frame", sequence=frames), rr.TimeColumn("time", timestamp=stamps)]
+        values = [entry.value for entry in rows]
+        self._rec.send_columns(entity, times, KINDS[type(values[0])](values))
+
+
+def _size(value: Value) -> int:
+    """Bytes of a value that goes by columns; more than SMALL for any other."""
+    match value:
+        case Scalar():
+            return 8
+        case Steps(image, _) | Picture(image, _):
+            return len(image)
+        case Raster(values, channels) if channels:
+            return values.nbytes
+        case _:
+            return SMALL + 1
+
+
+def blobs(*parts: bytes | NDArray[Any]) -> pa.Array:
+    """Bytes, a row each; of one row without a copy."""
+    flat = [p.reshape(-1).view(np.uint8) if isinstance(p, np.ndarray) else np.frombuffer(p, np.uint8) for p in parts]
+    whole = flat[0] if len(flat) == 1 else np.concatenate(flat)
+    ends = np.cumsum([0, *(part.size for part in flat)], dtype=np.int32)
+    inner = pa.Array.from_buffers(pa.uint8(), whole.size, [None, pa.py_buffer(whole)])
+    return pa.ListArray.from_arrays(pa.array(ends), inner, BYTES)
+
+
+def tensors(*rasters: Raster) -> pa.Array:
+    """Rasters of one type as tensors, a row each."""
+    union, kind = TENSOR.field("buffer").type, rasters[0].values.dtype
+    fields = [union.field(i) for i in range(union.num_fields)]
+    code = [field.name for field in fields].index(f"F{8 * kind.itemsize}")
+    ends = np.cumsum([0, *(r.values.size for r in rasters)], dtype=np.int32)
+    numbers = pa.array(np.concatenate([r.values.reshape(-1) for r in rasters]))
+    children = [pa.array([], field.type) for field in fields]
+    children[code] = pa.ListArray.from_arrays(pa.array(ends), numbers, fields[code].type)
+    codes, places = np.full(len(rasters), code, np.int8), np.arange(len(rasters), dtype=np.int32)
+    parts = [None, pa.py_buffer(codes), pa.py_buffer(places)]
+    buffers = pa.Array.from_buffers(union, len(rasters), parts, children=children)
+    shapes = pa.array([r.values.shape for r in rasters], TENSOR.field("shape").type)
+    axes = pa.array([["_".join(r.channels), "height", "width"] for r in rasters], TENSOR.field("names").type)
+    return pa.StructArray.from_arrays([shapes, axes, buffers], fields=list(TENSOR))
+
+
+def _scalars(values: Sequence[Scalar]) -> Any:
+    return rr.Scalars.columns(scalars=[v.value for v in values])
+
+
+def _pictures(values: Sequence[Picture]) -> Any:
+    images = blobs(*(v.data for v in values))
+    return rr.EncodedImage.columns(blob=images, media_type=[v.media_type for v in values])
+
+
+def _steps(values: Sequence[Steps]) -> Any:
+    images = blobs(*(v.image for v in values))
+    meters = [1 / v.step for v in values]
+    return rr.EncodedDepthImage.columns(blob=images, media_type=[RVL] * len(values), meter=meters)
+
+
+def _tensors(values: Sequence[Raster]) -> Any:
+    return rr.Tensor.columns(data=tensors(*values))
+
+
+KINDS: Mapping[type, Callable[[Any], Any]] = {
+    Scalar: _scalars,
+    Picture: _pictures,
+    Steps: _steps,
+    Raster: _tensors,
+}
