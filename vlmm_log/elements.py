@@ -154,6 +154,38 @@ class Element:
         """Identity in the map."""
         return self.evidence.id
 
+    @cached_property
+    def row(self) -> bytes:
+        """The numbers as a row of ROW: made once, however often the map is asked for its columns."""
+        seen = self.evidence.observations
+        whole = (self.evidence.feature_pixels, seen.size, seen["first_ns"][0], seen["second_ns"].max())
+        attributes = (self.o, self.kappa, self.rho, self.motion_class, self.confidence, self.p_stat)
+        told = (self.id, self.position, self.extent, *attributes, self.score, self.speed, self.p_moving)
+        return np.array([(*told, *whole, len(self.intervals))], ROW).tobytes()
+
+
+ROW = np.dtype(
+    [
+        ("id", np.int64),
+        ("position", np.float32, 3),
+        ("extent", np.float32, 6),
+        ("o", np.float32),
+        ("kappa", np.float32),
+        ("rho", np.float64),
+        ("motion_class", np.uint8),
+        ("confidence", np.float32),
+        ("p_stat", np.float32),
+        ("score", np.float32),
+        ("speed", np.float32),
+        ("p_moving", np.float32),
+        ("pixels", np.int32),
+        ("observations", np.int32),
+        ("first_ns", np.int64),
+        ("last_ns", np.int64),
+        ("intervals", np.int32),  # how many
+    ]
+)
+
 
 @dataclass(frozen=True, eq=False)
 class WorldMap:
@@ -211,32 +243,29 @@ class Elements:
 def columns(elements: Iterable[Element]) -> Elements:
     """Elements as columns, in the order given."""
     rows = list(elements)
-    seen = [e.evidence.observations for e in rows]
-
-    def each(name: str) -> Float32:
-        return np.array([getattr(e, name) for e in rows], np.float32)
-
+    table = np.frombuffer(b"".join(e.row for e in rows), ROW)
+    each = {name: np.ascontiguousarray(table[name]) for name in ROW.names or ()}
     width = rows[0].evidence.feature.size if rows else 0
     return Elements(
-        ids=np.array([e.id for e in rows], np.int64),
+        ids=each["id"],
         labels=tuple(e.label for e in rows),
-        positions=np.array([e.position for e in rows], np.float32).reshape(-1, 3),
-        extents=np.array([e.extent for e in rows], np.float32).reshape(-1, 6),
+        positions=each["position"],
+        extents=each["extent"],
         features=np.array([e.evidence.feature for e in rows], np.float32).reshape(len(rows), width),
-        o=each("o"),
-        kappa=each("kappa"),
-        rho=np.array([e.rho for e in rows], np.float64),
-        motion_class=np.array([e.motion_class for e in rows], np.uint8),
-        confidence=each("confidence"),
-        p_stat=each("p_stat"),
-        score=each("score"),
-        speed=each("speed"),
-        p_moving=each("p_moving"),
-        observations=np.array([o.size for o in seen], np.int32),
-        pixels=np.array([e.evidence.feature_pixels for e in rows], np.int32),
-        first_ns=np.array([o["first_ns"][0] for o in seen], np.int64),
-        last_ns=np.array([o["second_ns"].max() for o in seen], np.int64),
-        interval_rows=np.repeat(np.arange(len(rows), dtype=np.int32), [len(e.intervals) for e in rows]),
-        intervals=np.concatenate([np.zeros((0, 2), np.int64), *(e.intervals for e in rows)]),
+        o=each["o"],
+        kappa=each["kappa"],
+        rho=each["rho"],
+        motion_class=each["motion_class"],
+        confidence=each["confidence"],
+        p_stat=each["p_stat"],
+        score=each["score"],
+        speed=each["speed"],
+        p_moving=each["p_moving"],
+        observations=each["observations"],
+        pixels=each["pixels"],
+        first_ns=each["first_ns"],
+        last_ns=each["last_ns"],
+        interval_rows=np.repeat(np.arange(len(rows), dtype=np.int32), each["intervals"]),
+        intervals=np.concatenate([np.zeros((0, 2), np.int64), *(e.intervals for e in rows if len(e.intervals))]),
         rho_sources=tuple(e.rho_source for e in rows),
     )
