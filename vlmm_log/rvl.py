@@ -68,7 +68,8 @@ def _count(field: Float32, steps_a_unit: Any, counts: UInt16) -> None:
 @jit
 def _encode(values: UInt16, words: UInt32) -> int:
     """How many ``words`` got used."""
-    n, i, used, held = values.size, 0, 0, 0
+    n, i, used = values.size, 0, 0
+    held: Any = 0
     pending = np.uint64(0)  # ``held`` nibbles, fewer than eight, that wait for a word
     previous: Any = 0
     while i < n:
@@ -116,7 +117,7 @@ def _decode(words: UInt32, values: UInt16) -> int:
 
 
 @jit
-def _put(number: Any, pending: Any, held: int, words: UInt32, used: int) -> tuple[Any, int, int]:
+def _put(number: Any, pending: Any, held: Any, words: UInt32, used: int) -> tuple[Any, Any, int]:
     """The nibbles that wait after the number, how many, and how many words are full."""
     bits = np.uint64(number)
     if bits < np.uint64(64):  # nearly always: one or two nibbles, without a branch that noise would decide

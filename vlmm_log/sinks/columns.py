@@ -10,7 +10,7 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from vlmm_log.entries import Entry, Picture, Raster, Scalar, Steps, Value
+from vlmm_log.entries import Arrows, Entry, Picture, Pose, Raster, Scalar, Steps, Value
 
 ROWS = 32  # of an entity, until they are sent
 SMALL = 1 << 17  # bytes
@@ -61,6 +61,10 @@ def _size(value: Value) -> int:
             return len(image)
         case Raster(values, channels) if channels:
             return values.nbytes
+        case Arrows(origins, vectors):
+            return origins.nbytes + vectors.nbytes
+        case Pose():
+            return 28
         case _:
             return SMALL + 1
 
@@ -110,9 +114,26 @@ def _tensors(values: Sequence[Raster]) -> Any:
     return rr.Tensor.columns(data=tensors(*values))
 
 
+def _arrows(values: Sequence[Arrows]) -> Any:
+    sizes = [len(v.origins) for v in values]
+    origins, vectors = (np.concatenate(parts) for parts in zip(*((v.origins, v.vectors) for v in values), strict=True))
+    columns = list(rr.Arrows2D.columns(origins=origins, vectors=vectors).partition(sizes))
+    colors = [v.color for v in values if v.color is not None]  # of an entity, all or none
+    if colors:
+        columns += rr.Arrows2D.columns(colors=colors)
+    return columns
+
+
+def _poses(values: Sequence[Pose]) -> Any:
+    places = np.stack([v.translation for v in values])
+    return rr.Transform3D.columns(translation=places, quaternion=np.stack([v.quaternion for v in values]))
+
+
 KINDS: Mapping[type, Callable[[Any], Any]] = {
     Scalar: _scalars,
     Picture: _pictures,
     Steps: _steps,
     Raster: _tensors,
+    Arrows: _arrows,
+    Pose: _poses,
 }

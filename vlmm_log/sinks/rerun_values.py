@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, Literal, assert_never
 
 import numpy as np
@@ -121,10 +122,8 @@ def archetypes(value: Value) -> list[Any]:
         case Raster():
             return [rr.Tensor.from_fields(data=tensors(value))]
         case Labels(values):
-            kind = rr.ChannelDatatype.from_np_dtype(values.dtype)
-            size = rr.components.ImageFormat(width=values.shape[1], height=values.shape[0], channel_datatype=kind)
-            pixels = blobs(values)
-            return [rr.SegmentationImage.from_fields(buffer=pixels, format=size)]
+            form = _format(values.dtype.str, *values.shape)
+            return [rr.SegmentationImage.from_fields(buffer=blobs(values), format=form)]
         case LabelNames(classes):
             return [rr.AnnotationContext(list(classes))]
         case Pose(translation, quaternion):
@@ -152,6 +151,14 @@ def archetypes(value: Value) -> list[Any]:
             return []
         case _:
             assert_never(value)
+
+
+@cache
+def _format(kind: str, height: int, width: int) -> pa.Array:
+    """An image format as Rerun's array: made once."""
+    datatype = rr.ChannelDatatype.from_np_dtype(np.dtype(kind))
+    form = rr.components.ImageFormat(width=width, height=height, channel_datatype=datatype)
+    return rr.components.ImageFormatBatch(form).as_arrow_array()
 
 
 def _boxes(boxes: Boxes) -> rr.Boxes2D:
