@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import os
 import sys
+from itertools import islice
 from pathlib import Path
 
 from vlmm_log.readers import open_log
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import Frame
 
-SHARED = Path(__file__).resolve().parents[2] / "shared"
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "examples")]
+import render_room  # noqa: E402
+
+SHARED = ROOT.parent / "shared"
 DATA = Path(os.environ.get("VLMM_LOG_DATA", SHARED / "data"))
 WEIGHTS = Path(os.environ.get("VLMM_LOG_WEIGHTS", SHARED / "weights"))
 SLICE = DATA / "rgbd_dataset_freiburg1_rpy_225_345"
@@ -24,7 +29,13 @@ def need(path: Path) -> None:
         sys.exit(f"skipped: {path} is not here; VLMM_LOG_DATA can name the folder that holds it")
 
 
-def frames(path: Path, intrinsics: str = "") -> list[Frame]:
-    """All frames of a log."""
+def frames(path: Path, most: int | None = None, intrinsics: str = "") -> list[Frame]:
+    """The first frames of a log; all, unless told how many."""
     log = open_log(path, ReadSettings(intrinsics=intrinsics))
-    return [f for f in log.frames(0, 10**18) if isinstance(f, Frame)]
+    return list(islice((f for f in log.frames(0, 10**18) if isinstance(f, Frame)), most))
+
+
+def room(folder: Path, count: int) -> Path:
+    """A rendered sequence of so many frames, where no real one is at hand."""
+    render_room.write_tum(folder / "room", count)
+    return folder / "room"

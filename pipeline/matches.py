@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -63,9 +64,11 @@ def match(pair: FramePair, flow: FlowField, gate: GateSettings, noise: NoiseSett
 def local_depth_range(depth: Float32) -> Float32:
     """Largest minus smallest seen depth (H, W) m in each 3x3 neighbourhood; 0 where nothing is seen."""
     kernel = np.ones((3, 3), np.uint8)
-    unseen = np.isnan(depth)
-    far = cv2.dilate(np.where(unseen, f32(-1), depth), kernel)
-    near = cv2.erode(np.where(unseen, f32(1e4), depth), kernel)
+    far, near = depth.copy(), depth.copy()
+    cv2.patchNaNs(far, -1.0)
+    cv2.patchNaNs(near, 1e4)
+    cv2.dilate(far, kernel, dst=far)
+    cv2.erode(near, kernel, dst=near)
     return np.asarray(np.maximum(far - near, f32(0)), np.float32)
 
 
@@ -111,8 +114,7 @@ def flow_spread(forward: Float32, factor: float) -> Float32:
     if factor == 0:
         return np.zeros((H, W), np.float32)
     coarse = cv2.resize(forward, (W // 4, H // 4), interpolation=cv2.INTER_AREA)
-    y, x = np.mgrid[-1 : 1 : coarse.shape[0] * 1j, -1 : 1 : coarse.shape[1] * 1j].astype(np.float32)
-    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    basis = _quadratic(*coarse.shape[:2])
     some, seen = basis[::4, ::4].reshape(-1, 6), coarse[::4, ::4].reshape(-1, 2)
     weight = np.ones(len(some), np.float32)
     for _ in range(5):
@@ -123,3 +125,10 @@ def flow_spread(forward: Float32, factor: float) -> Float32:
     mean = cv2.blur(rest, (9, 9))
     variance = np.maximum(cv2.blur(rest * rest, (9, 9)) - mean * mean, 0).sum(axis=-1)
     return np.asarray(cv2.resize(variance * f32(factor**2), (W, H), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+@lru_cache(maxsize=4)
+def _quadratic(h: int, w: int) -> Float32:
+    """(h, w, 6) the terms of a quadratic polynomial over an image, from -1 to 1."""
+    y, x = np.mgrid[-1 : 1 : h * 1j, -1 : 1 : w * 1j].astype(np.float32)
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vlmm_log.compiled import jit
 from vlmm_log.types import Float32, Float64, Frame, Int32, Int64, Segments
 
 Bools = NDArray[np.bool_]
@@ -107,16 +108,26 @@ def flat_ones(labels: Int32, inverse: Float32, n: int) -> Bools:
     A plane w = a u + b v + c is fitted by least squares to every piece at once, from sums of products.
     """
     h, w = labels.shape
-    v, u = np.mgrid[:h, :w] / w - 0.5
-    terms = np.stack([u, v, np.ones((h, w)), inverse])
     sums = np.zeros((n + 1, 4, 4))
-    for i in range(4):
-        for j in range(i, 4):
-            weights = (terms[i] * terms[j]).ravel()
-            sums[:, i, j] = sums[:, j, i] = np.bincount(labels.ravel(), weights, n + 1)
+    _sum_products(labels, inverse, sums)
     large = sums[:, 2, 2] > FLAT_SHARE * h * w
     large[0] = False
     return np.array([k and _rms(s) < FLAT for k, s in zip(large, sums, strict=True)], bool)
+
+
+@jit
+def _sum_products(labels: Int32, inverse: Float32, sums: Float64) -> None:
+    """Sums of products of (u, v, 1, w) over each label, u and v in widths from the corner less a half."""
+    h, w = labels.shape
+    terms = np.ones(4)
+    for y in range(h):
+        terms[1] = y / w - 0.5
+        for x in range(w):
+            terms[0], terms[3] = x / w - 0.5, inverse[y, x]
+            into = sums[labels[y, x]]
+            for i in range(4):
+                for j in range(4):
+                    into[i, j] += terms[i] * terms[j]
 
 
 def joined(labels: Int32, inverse: Float32, flat: Bools) -> Int64:
