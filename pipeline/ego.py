@@ -65,7 +65,7 @@ def refine_ego(matches: Matches, segments: Segments, s: EgoSettings, rng: np.ran
         d2 = grid.whitened(fit, inverse)
         if s.inlier == "sigma":  # the noise model may be off by a factor; the inlier test must not be
             scale2 = float(np.clip(_quartile(d2) / CHI2_3_QUARTILE, 0.25, 4.0))
-        fit, step, hessian = _gauss_newton(grid, fit, inverse, d2 / (cut * scale2), s)
+        fit, step, hessian = _gauss_newton(grid, fit, inverse, d2, cut * scale2, s)
         if np.abs(step).max() < CONVERGED:
             break
     inlier_share = float(np.mean(grid.whitened(fit, inverse) < cut * scale2))
@@ -201,17 +201,27 @@ def _consensus(
 
 
 def _gauss_newton(
-    grid: _Grid, fit: Fit, inverse: Float32, d2_of_cut: Float32, s: EgoSettings
+    grid: _Grid, fit: Fit, inverse: Float32, d2: Float32, cut: float, s: EgoSettings
 ) -> tuple[Fit, Float64, Float64]:
     """One refit on the inliers: the fit, the step taken (12,), the normal matrix (6, 6) or (12, 12).
 
     Inliers weigh by Tukey's biweight in sigmas, and alike in metres (the paper's plain least squares).
     """
-    inlier = d2_of_cut < 1.0
-    weight = np.where(inlier, (1.0 - d2_of_cut) ** 2 if s.inlier == "sigma" else 1.0, 0.0).astype(np.float32)
     moments, gradients = np.empty((3, 6, 6)), np.empty((2, 6))
     share = grid.image_rows / grid.height - 0.5
-    ek.normal_equations(grid.first, grid.second, inverse, weight, grid.row, grid.rows(fit), share, moments, gradients)
+    ek.normal_equations(
+        grid.first,
+        grid.second,
+        inverse,
+        d2,
+        np.float32(cut),
+        s.inlier == "sigma",
+        grid.row,
+        grid.rows(fit),
+        share,
+        moments,
+        gradients,
+    )
     if s.model == "rigid":
         normal, side = moments[0], gradients[0]
     else:

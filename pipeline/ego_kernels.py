@@ -94,7 +94,9 @@ def normal_equations(
     first: Float32,
     second: Float32,
     inverse: Float32,
-    weight: Float32,
+    d2: Float32,
+    cut: np.float32,
+    biweight: bool,
     row: Int32,
     rows: Float32,
     share: Float64,
@@ -103,6 +105,7 @@ def normal_equations(
 ) -> None:
     """Gauss-Newton's sums over matches for p' = exp(xi0 + r xi1) p, r = share[row].
 
+    Inliers, d2 < cut, weigh by Tukey's biweight, or all alike; others nothing.
     moments (3, 6, 6) is sum r^k J^T W J, gradients (2, 6) is sum r^k J^T W (X_b - p'), J = [-[p']x, I].
     """
     moments[:] = 0.0
@@ -116,10 +119,11 @@ def normal_equations(
         b22 = b23 = b24 = b25 = b33 = b34 = b35 = b44 = b45 = b55 = 0.0
         s0 = s1 = s2 = s3 = s4 = s5 = 0.0
         while i < n and row[i] == here:
-            w = weight[i]
-            if w == f32(0):
+            d = d2[i] / cut
+            if not d < f32(1):
                 i += 1
                 continue
+            w = (f32(1) - d) * (f32(1) - d) if biweight else f32(1)
             a, b, c = first[0, i], first[1, i], first[2, i]
             qx = T[0] * a + T[1] * b + T[2] * c + T[9]
             qy = T[3] * a + T[4] * b + T[5] * c + T[10]

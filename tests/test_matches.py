@@ -90,14 +90,17 @@ def grid_and_fit():
     return grid, fit
 
 
-def test_gauss_newton_sums_are_the_derivatives_of_the_cost():
+@pytest.mark.parametrize("biweight", [True, False])
+def test_gauss_newton_sums_are_the_derivatives_of_the_cost(biweight):
     grid, fit = grid_and_fit()
     inverse = grid.inverse_covariances(fit)
-    weight = np.ones(grid.count, np.float32)
+    d2 = grid.whitened(fit, inverse)
+    cut = np.float32(np.quantile(d2, 0.7))
+    weight = np.where(d2 < cut, (1 - d2 / cut) ** 2 if biweight else 1.0, 0.0)
     share = grid.image_rows / grid.height - 0.5
     moments, gradients = np.empty((3, 6, 6)), np.empty((2, 6))
     ego_kernels.normal_equations(
-        grid.first, grid.second, inverse, weight, grid.row, grid.rows(fit), share, moments, gradients
+        grid.first, grid.second, inverse, d2, cut, biweight, grid.row, grid.rows(fit), share, moments, gradients
     )
     r = share[grid.row]
     T = se3.exp(r[:, None] * fit.row_twist) @ fit.T
@@ -107,10 +110,10 @@ def test_gauss_newton_sums_are_the_derivatives_of_the_cost():
     M = inverse.T[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3).astype(float)
     JtM = np.einsum("nki,nkl->nil", J, M)
     for k in range(3):
-        book = np.einsum("n,nil,nlj->ij", r**k, JtM, J)
+        book = np.einsum("n,nil,nlj->ij", weight * r**k, JtM, J)
         np.testing.assert_allclose(moments[k], book, rtol=1e-4, atol=1e-4 * np.abs(book).max())
     for k in range(2):
-        book = np.einsum("n,nil,nl->i", r**k, JtM, miss)
+        book = np.einsum("n,nil,nl->i", weight * r**k, JtM, miss)
         np.testing.assert_allclose(gradients[k], book, rtol=1e-3, atol=1e-4 * np.abs(book).max())
     d2 = np.einsum("ni,nij,nj->n", miss, M, miss)
     np.testing.assert_allclose(grid.whitened(fit, inverse), d2, rtol=1e-3, atol=1e-3)
