@@ -14,6 +14,7 @@ from vlmm_log.types import Frame
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "examples")]
 import render_room  # noqa: E402
+import textbook  # noqa: E402, F401  for benchmarks
 
 SHARED = ROOT.parent / "shared"
 DATA = Path(os.environ.get("VLMM_LOG_DATA", SHARED / "data"))

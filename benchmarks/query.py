@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.kernels import milliseconds
+from benchmarks.rows import milliseconds
 from vlmm_log.elements import Elements
 from vlmm_log.pipeline.language.answer import answer
 from vlmm_log.pipeline.language.parser import parse

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from benchmarks.data import SLICE, WEIGHTS, frames, need
-from benchmarks.kernels import milliseconds
+from benchmarks.rows import milliseconds
 from vlmm_log.models.geometric import Geometric
 from vlmm_log.models.masks import Masks
 from vlmm_log.models.yolo import Yolo, decoded, letterboxed, segments

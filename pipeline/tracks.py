@@ -85,7 +85,8 @@ def remember(tracks: Tracks, tracked: Tracked, pair: FramePair, carrier: Float32
     live = {i: t for i, t in tracks.live.items() if now - t.last_ns <= s.forget_s * 1e9}
     spread = np.sqrt(np.maximum(rows["extent"][:, [0, 3, 5]].mean(axis=1), 0.0))
     for k, element in enumerate(tracked.ids.tolist()):
-        live[element] = Track(segments.names[k], tracked.features[k], rows["position"][k], float(spread[k]), now)
+        own = tracked.features[k].copy(), rows["position"][k].copy()  # views would keep all instances of the pair
+        live[element] = Track(segments.names[k], *own, float(spread[k]), now)
     carried = Carried(segments.labels, tracked.ids, carrier, now, pair.second.stamp_ns)
     return Tracks(max(tracks.next_id, int(tracked.ids.max(initial=0)) + 1), live, carried)
 

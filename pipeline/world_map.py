@@ -32,8 +32,8 @@ def update(world: WorldMap, tracked: Tracked, background: Background) -> WorldMa
         own = Evidence(
             element,
             {sightings.segments.names[k]: round(1000 * float(sightings.segments.scores[k]))},
-            sightings.rows[k : k + 1],
-            tracked.features[k],
+            sightings.rows[k : k + 1].copy(),  # a view would keep all instances of the pair
+            tracked.features[k].copy(),
             int(sightings.rows["pixels"][k]),
             int(sightings.rows["index"][k]),
         )

@@ -10,9 +10,10 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from vlmm_log.entries import Arrows, Entry, Picture, Pose, Raster, Scalar, Steps, Value
+from vlmm_log.entries import Arrows, Entry, Picture, Pose, Raster, Scalar, States, Steps, Value
 
-ROWS = 32  # of an entity, until they are sent
+MOST = 1 << 20  # bytes of an entity's rows, until they are sent; a row counts for ROW at least
+ROW = 1 << 11
 SMALL = 1 << 17  # bytes
 RVL = "application/rvl"
 BYTES = pa.list_(pa.field("item", pa.uint8(), nullable=False))  # Rerun's type of a blob
@@ -25,24 +26,31 @@ class Columns:
     def __init__(self, rec: rr.RecordingStream) -> None:
         self._rec = rec
         self._rows: dict[tuple[str, type], list[Entry]] = {}
+        self._held: dict[tuple[str, type], int] = {}  # bytes
 
     def take(self, entity: str, entry: Entry) -> bool:
         """Whether the entry goes by columns; then it waits for its time."""
-        if entry.stamp_ns is None or entry.index is None or _size(entry.value) > SMALL:
+        size = _size(entry.value)
+        if entry.stamp_ns is None or entry.index is None or size > SMALL:
             return False
-        rows = self._rows.setdefault((entity, type(entry.value)), [])
-        rows.append(entry)
-        if len(rows) >= ROWS:
-            self._send(entity, rows)
-            rows.clear()
+        key = (entity, type(entry.value))
+        self._rows.setdefault(key, []).append(entry)
+        self._held[key] = self._held.get(key, 0) + max(size, ROW)
+        if self._held[key] >= MOST:
+            self._send(entity, self._rows.pop(key))
+            del self._held[key]
         return True
 
-    def flush(self) -> None:
-        """Send what is left."""
-        for (entity, _), rows in self._rows.items():
-            if rows:
-                self._send(entity, rows)
-        self._rows.clear()
+    def flush(self, least: int = 1) -> None:
+        """Send what waits; of scalars and states, what has at least so many rows.
+
+        Each entity that is sent is a chunk, of which Rerun keeps notes of some 10 kB until the end: elements that a few
+        pairs saw would be most of them.
+        """
+        for key, rows in list(self._rows.items()):
+            if len(rows) >= least or key[1] not in (Scalar, States):
+                self._send(key[0], rows)
+                del self._rows[key], self._held[key]
 
     def _send(self, entity: str, rows: Sequence[Entry]) -> None:
         stamps = np.array([entry.stamp_ns for entry in rows], "datetime64[ns]")
@@ -63,8 +71,8 @@ def _size(value: Value) -> int:
             return values.nbytes
         case Arrows(origins, vectors):
             return origins.nbytes + vectors.nbytes
-        case Pose():
-            return 28
+        case Pose() | States():
+            return 32
         case _:
             return SMALL + 1
 
@@ -129,6 +137,11 @@ def _poses(values: Sequence[Pose]) -> Any:
     return rr.Transform3D.columns(translation=places, quaternion=np.stack([v.quaternion for v in values]))
 
 
+def _states(values: Sequence[States]) -> Any:
+    lanes = [lane for v in values for lane in v.lanes]
+    return rr.StateChange.columns(state=lanes).partition([len(v.lanes) for v in values])
+
+
 KINDS: Mapping[type, Callable[[Any], Any]] = {
     Scalar: _scalars,
     Picture: _pictures,
@@ -136,4 +149,5 @@ KINDS: Mapping[type, Callable[[Any], Any]] = {
     Raster: _tensors,
     Arrows: _arrows,
     Pose: _poses,
+    States: _states,
 }

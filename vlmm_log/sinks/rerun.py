@@ -14,7 +14,9 @@ from vlmm_log.sinks.footer import finish
 from vlmm_log.sinks.rerun_values import RerunValues
 from vlmm_log.types import Run, RunEnd
 
-PAIRS_A_FLUSH = 16
+FLUSHED = 64  # pairs, or a PARTth of the run: what a kill may cost. A flush makes chunks, of which Rerun keeps notes
+PART = 32
+FEW = 32  # rows of an element's history that wait for more
 UP = {
     "+z": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
     "+y": rr.ViewCoordinates.RIGHT_HAND_Y_UP,
@@ -32,10 +34,10 @@ class RerunFile:
             "vlmm-log",
             recording_id=run.recording_id,
             send_properties=False,  # the time of day it would send makes equal runs differ
-            batcher_config=rr.ChunkBatcherConfig(flush_tick=1e6, flush_num_bytes=1 << 20),
+            batcher_config=rr.ChunkBatcherConfig(flush_tick=1e6, flush_num_bytes=1 << 22),
         )
         self._values = RerunValues(self._rec)
-        self._pairs = 0
+        self._pairs, self._due = 0, 2
         calibrated = CALIBRATED if "calibration" in run.versions else ()
         self._rec.save(path, default_blueprint=default_blueprint((*calibrated, *images)))
         self._begin(run)
@@ -45,10 +47,11 @@ class RerunFile:
         self._values.put(entry)
 
     def pair_begins(self) -> None:
-        """Now and then put everything on disk: small entities would wait for a mebibyte, and a kill would take all."""
+        """Now and then put everything on disk: else small entities would wait, and a kill would take all."""
         self._pairs += 1
-        if self._pairs == 2 or self._pairs % PAIRS_A_FLUSH == 0:
-            self._values.flush()
+        if self._pairs >= self._due:
+            self._due = min(8 * self._pairs, self._pairs + max(FLUSHED, self._pairs // PART))
+            self._values.flush(FEW if self._pairs > FLUSHED else 1)
             self._rec.flush()
 
     def finish(self, end: RunEnd) -> None:

@@ -80,9 +80,9 @@ class RerunValues:
         if shown:
             self._rec.log(entity, *shown, static=entry.stamp_ns is None)
 
-    def flush(self) -> None:
-        """Send what waits."""
-        self._columns.flush()
+    def flush(self, least: int = 1) -> None:
+        """Send what waits; of scalars and states, what has at least so many rows."""
+        self._columns.flush(least)
 
     def _set_time(self, stamp_ns: int, index: int | None) -> None:
         if (stamp_ns, index) == self._at:
