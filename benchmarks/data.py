@@ -30,7 +30,7 @@ def need(path: Path) -> None:
         sys.exit(f"skipped: {path} is not here; VLMM_LOG_DATA can name the folder that holds it")
 
 
-def frames(path: Path, most: int | None = None, intrinsics: str = "") -> list[Frame]:
+def frames(path: Path, intrinsics: str = "", most: int | None = None) -> list[Frame]:
     """The first frames of a log; all, unless told how many."""
     log = open_log(path, ReadSettings(intrinsics=intrinsics))
     return list(islice((f for f in log.frames(0, 10**18) if isinstance(f, Frame)), most))

@@ -2,8 +2,8 @@
 
     python -m benchmarks.memory [PAIRS]
 
-One run over the real slice (else the rendered room), again and again, its stamps going on: the peak after 100 pairs
-and at the end. A process of its own, a lean recording written.
+One run over the real slice (else the rendered room), forth and back again and again: the peak after 100 pairs and at
+the end. A process of its own, a lean recording written.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ print(json.dumps([peaks[100], max(peaks), peaks[max(peaks)], Path(out).stat().st
 
 @dataclass(frozen=True)
 class Repeated:
-    """A log over and over, as if its camera went round."""
+    """A log forth and back, so many times, as if its camera swung."""
 
     log: Log
     times: int
@@ -55,19 +55,21 @@ class Repeated:
 
     def frames(self, start_ns: int, stop_ns: int) -> Iterator[Frame | Skipped]:
         """See protocols.Log."""
-        late_ns, later, last = 0, 0, None
-        for _ in range(self.times):
-            for item in self.log.frames(start_ns, stop_ns):
-                if isinstance(item, Frame):
-                    last = replace(item, stamp_ns=item.stamp_ns + late_ns, index=item.index + later)
-                    yield last
-            if last is not None:  # the next round begins a thirtieth of a second later
-                first_ns, first = self._first(start_ns, stop_ns)
-                late_ns, later = last.stamp_ns + 33_000_000 - first_ns, last.index + 1 - first
+        stamps: list[int] = []
+        for frame in _frames(self.log, start_ns, stop_ns):
+            stamps.append(frame.stamp_ns)
+            yield frame
+        now_ns, index, before_ns = frame.stamp_ns, frame.index, frame.stamp_ns
+        for turn in range(1, self.times):
+            for stamp_ns in (stamps[::-1] if turn % 2 else stamps)[1:]:
+                since = stamp_ns - stamps[0]
+                frame = next(_frames(self.log, since, since + 1))
+                now_ns, index, before_ns = now_ns + abs(stamp_ns - before_ns), index + 1, stamp_ns
+                yield replace(frame, stamp_ns=now_ns, index=index)
 
-    def _first(self, start_ns: int, stop_ns: int) -> tuple[int, int]:
-        frame = next(f for f in self.log.frames(start_ns, stop_ns) if isinstance(f, Frame))
-        return frame.stamp_ns, frame.index
+
+def _frames(log: Log, start_ns: int, stop_ns: int) -> Iterator[Frame]:
+    return (f for f in log.frames(start_ns, stop_ns) if isinstance(f, Frame))
 
 
 def measured(short: bool = False, pairs: int = 1000) -> Iterator[Row]:

@@ -59,7 +59,7 @@ def plain(source: Path, pairs: int = 2) -> float:
     """Seconds a pair of the plain implementation, images decoded."""
     segment = load_models(Settings())[0].segment
     began = time.perf_counter()
-    logged = frames(source, pairs + 3)
+    logged = frames(source, most=pairs + 3)
     decoded = (time.perf_counter() - began) / len(logged)
     rng, spent = np.random.default_rng(0), []
     for first, second in zip(logged, logged[3:], strict=False):

@@ -47,7 +47,7 @@ PAIRS = 60  # that are logged
 def some_frames(folder: Path, count: int) -> tuple[str, list]:
     """Frames of the real slice where it is at hand, else of the rendered room."""
     if SLICE.exists():
-        return "real slice", frames(SLICE, count)
+        return "real slice", frames(SLICE, most=count)
     return "rendered room", frames(room(folder, count))
 
 

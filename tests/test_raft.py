@@ -72,6 +72,27 @@ def test_torchvision_keys_pass_and_both_ways_are_one_batch(tmp_path):
 
 
 @needs_torch
+def test_what_is_kept_of_a_frame_changes_nothing_and_torchvisions_own_pass_agrees(tmp_path):
+    import torch
+
+    from vlmm_log.models.raft import Raft, _raft_large
+
+    torch.manual_seed(0)
+    torch.save(_raft_large().state_dict(), tmp_path / "raft-untrained.pth")
+    settings = FlowSettings(estimator="raft", weights=str(tmp_path), raft_updates=3, raft_scale=1.0)
+    (a, b), (_, other) = frames(3), frames(7)
+    raft, fresh = Raft(settings), Raft(settings)
+    raft(other, a)  # the same index as b's, another image
+    found = raft(a, b)
+    for ours, theirs in zip(found, fresh(a, b), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    with torch.inference_mode():
+        both = torch.from_numpy(np.stack([a.rgb, b.rgb])).permute(0, 3, 1, 2).float() / 127.5 - 1
+        book = raft._network(both, both.flip(0), num_flow_updates=3)[-1].permute(0, 2, 3, 1).numpy()
+    np.testing.assert_allclose(np.stack(found), book, atol=2e-3)
+
+
+@needs_torch
 @pytest.mark.skipif(
     not TRAINED.is_file(), reason=f"no trained weights at {TRAINED}; VLMM_LOG_WEIGHTS can name the folder"
 )

@@ -6,6 +6,8 @@ Tensors, device and padding end here: what goes in and comes out is numpy.
 from __future__ import annotations
 
 import re
+from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,8 @@ try:
     from vlmm_log.models.torchvision_operators import declare_missing_operators
 except ImportError as e:
     raise InputError("--flow raft needs torch and torchvision: pip install 'vlmm-log[raft]'") from e
+
+KEPT = 8  # frames, 4 MB each at half of 640x480
 
 # Princeton's keys -> torchvision's. torchvision's own keys pass through unchanged.
 _PRINCETON = (
@@ -52,20 +56,58 @@ class Raft:
         self._scale, self._updates = s.raft_scale, s.raft_updates
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self._network = load(self.weights).to(self._device)
+        self._kept: deque[_Encoded] = deque(maxlen=KEPT)  # the last frames: most come again, as another pair's first
 
     def __call__(self, first: Frame, second: Frame) -> tuple[Float32, Float32]:
-        """Flow (H, W, 2) px both ways, from one batch of two."""
+        """Flow (H, W, 2) px both ways, from one batch of two. Images are encoded once, whatever pairs they are in."""
         H, W = first.rgb.shape[:2]
+        h, w = (max(128, 8 * round(n * self._scale / 8)) for n in (H, W))  # RAFT wants multiples of 8, 128 at least
         with torch.inference_mode():
-            both = torch.from_numpy(np.stack([first.rgb, second.rgb])).to(self._device)
-            both = both.permute(0, 3, 1, 2).float() / 127.5 - 1.0
-            h, w = (max(128, 8 * round(n * self._scale / 8)) for n in (H, W))  # RAFT wants multiples of 8, 128 at least
-            both = functional.interpolate(both, (h, w), mode="bilinear", align_corners=False, antialias=h < H)
-            flow = self._network(both, both.flip(0), num_flow_updates=self._updates)[-1]
+            a, b = self._encoded(first, (h, w)), self._encoded(second, (h, w))
+            features = torch.cat([a.features, b.features])
+            flow = _refined(self._network, features, torch.cat([a.context, b.context]), self._updates)
             flow = functional.interpolate(flow, (H, W), mode="bilinear", align_corners=False)
             flow = flow * flow.new_tensor([W / w, H / h])[None, :, None, None]
             out = flow.permute(0, 2, 3, 1).contiguous().cpu().numpy()
         return out[0], out[1]
+
+    def _encoded(self, frame: Frame, size: tuple[int, int]) -> _Encoded:
+        """One image at a time: its numbers do not depend on what else is in a batch, nor on what was kept."""
+        for kept in self._kept:
+            if kept.frame.index == frame.index and np.array_equal(kept.frame.rgb, frame.rgb):
+                return kept
+        image = torch.tensor(frame.rgb[None]).to(self._device).permute(0, 3, 1, 2).float() / 127.5 - 1.0
+        smaller = size[0] < frame.rgb.shape[0]
+        image = functional.interpolate(image, size, mode="bilinear", align_corners=False, antialias=smaller)
+        encoded = _Encoded(frame, self._network.feature_encoder(image), self._network.context_encoder(image))
+        self._kept.append(encoded)
+        return encoded
+
+
+@dataclass(frozen=True, eq=False)
+class _Encoded:
+    """What the network's encoders make of a frame."""
+
+    frame: Frame
+    features: Any
+    context: Any
+
+
+def _refined(network: Any, features: Any, context: Any, updates: int) -> Any:
+    """Flow (2, 2, h, w) px of two encoded images, each to the other: the recurrent part of torchvision's RAFT."""
+    from torchvision.models.optical_flow._utils import make_coords_grid, upsample_flow
+
+    network.corr_block.build_pyramid(features, features.flip(0))
+    width = network.update_block.hidden_state_size
+    hidden, context = torch.split(context, [width, context.shape[1] - width], dim=1)
+    hidden, context = torch.tanh(hidden), functional.relu(context)
+    start = make_coords_grid(len(features), *features.shape[-2:]).to(features.device)
+    at = start
+    for _ in range(updates):
+        correlation = network.corr_block.index_pyramid(centroids_coords=at)
+        hidden, change = network.update_block(hidden, context, correlation, at - start)
+        at = at + change
+    return upsample_flow(flow=at - start, up_mask=network.mask_predictor(hidden))
 
 
 def load(path: Path) -> Any:
