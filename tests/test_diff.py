@@ -1,5 +1,6 @@
 """Two runs compared: planted changes are found where they are, equal runs are equal, the rest is refused."""
 
+import itertools
 import json
 import os
 import re
@@ -62,13 +63,51 @@ def byte(place, change):
     return edit
 
 
-def half(place, value):
-    """Write one half-precision number into a buffer."""
+def steps(place, count):
+    """Write one count into a field in steps: RVL behind 20 bytes of header."""
 
-    def edit(cell_value):
-        data = np.frombuffer(bytes(cell_value[0]), np.float16).copy()
-        data[place] = value
-        return [list(data.tobytes())]
+    def edit(value):
+        image = bytes(value[0])
+        words = np.frombuffer(image[20:], "<u4")
+        nibbles = iter((words[:, None] >> np.arange(28, -4, -4) & 15).ravel().tolist())
+        width, height = np.frombuffer(image[12:20], "<i4")
+
+        def number():
+            found, shift = 0, 0
+            while True:
+                nibble = next(nibbles)
+                found |= (nibble & 7) << shift
+                shift += 3
+                if nibble < 8:
+                    return found
+
+        counts, last = [], 0
+        while len(counts) < width * height:
+            counts += [0] * number()
+            for _ in range(number()):
+                step = number()
+                last += step // 2 if step % 2 == 0 else -(step + 1) // 2
+                counts.append(last)
+        counts[place] = count
+        out, last = [], 0
+
+        def put(number):
+            while number > 7:
+                out.append(number & 7 | 8)
+                number >>= 3
+            out.append(number)
+
+        for seen, run in itertools.groupby(counts, bool):
+            run = list(run)
+            put(0) if seen and not out else None
+            put(len(run))
+            for current in run if seen else ():
+                put(2 * (current - last) if current >= last else 2 * (last - current) - 1)
+                last = current
+        put(0) if not counts[-1] else None
+        out += [0] * (-len(out) % 8)
+        packed = (np.array(out, np.uint32).reshape(-1, 8) << np.arange(28, -4, -4, dtype=np.uint32)).sum(axis=1)
+        return [list(image[:20] + packed.astype("<u4").tobytes())]
 
     return edit
 
@@ -109,12 +148,29 @@ def label(value):
     return [value[0] + " of another kind", *value[1:]]
 
 
+BLOB = "EncodedDepthImage:blob"
 PLANTED = {  # name -> the edit, the entity that is named, the frame that is named
-    "one pixel of d_M": (cell(f"{IMAGE}/residual/d_m", 3, "DepthImage:buffer", half(153_920, 7.5)), "residual/d_m", 3),
-    "one NaN of d_M": (cell(f"{IMAGE}/residual/d_m", 3, "DepthImage:buffer", half(153_920, np.nan)), "residual/d_m", 3),
-    "p_stat": (cell(f"{IMAGE}/residual/p_stat", 1, "DepthImage:buffer", half(40_000, 2)), "residual/p_stat", 1),
-    "sigma_z": (cell(f"{IMAGE}/residual/sigma_z", 0, "DepthImage:buffer", half(9_000, 3)), "residual/sigma_z", 0),
-    "round-trip error": (cell(f"{IMAGE}/flow/fb_error", 5, "DepthImage:buffer", half(40_000, 9)), "flow/fb_error", 5),
+    "one pixel of d_M": (
+        cell(f"{IMAGE}/residual/d_m", 3, BLOB, steps(153_920, 480)),
+        "residual/d_m",
+        3,
+    ),
+    "one NaN of d_M": (
+        cell(f"{IMAGE}/residual/d_m", 3, BLOB, steps(153_920, 0)),
+        "residual/d_m",
+        3,
+    ),
+    "p_stat": (cell(f"{IMAGE}/residual/p_stat", 1, BLOB, steps(40_000, 128)), "residual/p_stat", 1),
+    "sigma_z": (
+        cell(f"{IMAGE}/residual/sigma_z", 0, BLOB, steps(9_000, 24_576)),
+        "residual/sigma_z",
+        0,
+    ),
+    "round-trip error": (
+        cell(f"{IMAGE}/flow/fb_error", 5, BLOB, steps(40_000, 576)),
+        "flow/fb_error",
+        5,
+    ),
     "swapped mask ids": (cell(f"{IMAGE}/instances", 2, "SegmentationImage:buffer", swapped), "instances", 2),
     "validity": (
         cell(f"{IMAGE}/validity", 2, "SegmentationImage:buffer", byte(99, lambda v: (v + 1) % 5)),
@@ -127,7 +183,7 @@ PLANTED = {  # name -> the edit, the entity that is named, the frame that is nam
     "score to infinity": (cell("world/map/observations", 3, "o", first(lambda _: np.inf)), "map/observations", 3),
     "lost pose": (without(lambda e, f: (e, f) == ("world/camera", 3)), "world/camera", 3),
     "intrinsics": (cell(IMAGE, 0, "Pinhole:image_from_camera", first(lambda x: x + 0.5)), IMAGE, 0),
-    "depth pixel": (cell(f"{IMAGE}/depth", 6, "EncodedDepthImage:blob", pixel), "image/depth", 6),
+    "depth pixel": (cell(f"{IMAGE}/depth", 6, BLOB, pixel), "image/depth", 6),
     "colour pixel": (cell(f"{IMAGE}/rgb", 6, "EncodedImage:blob", pixel), "image/rgb", 6),
     "arrow": (cell(f"{IMAGE}/flow/arrows", 1, "Arrows2D:vectors", first(lambda x: x + 1)), "flow/arrows", 1),
     "box": (cell(f"{IMAGE}/boxes", 1, "Boxes2D:centers", first(lambda x: x + 1)), "image/boxes", 1),
@@ -146,7 +202,11 @@ PLANTED = {  # name -> the edit, the entity that is named, the frame that is nam
     "log line": (cell("log", None, "TextLog:text", label), "log", 0),
     "state": (cell("world/map/elements/1", None, "StateChange:state", lambda v: ["static", *v[1:]]), "elements/1", 2),
     "voxel colour": (cell("world/map/points", 0, "Points3D:colors", first(lambda c: c ^ 1 << 16)), "map/points", 0),
-    "look": (cell(f"{IMAGE}/residual/d_m", None, "DepthImage:colormap", first(lambda x: x + 1)), "residual/d_m", None),
+    "look": (
+        cell(f"{IMAGE}/residual/d_m", None, "EncodedDepthImage:colormap", first(lambda x: x + 1)),
+        "residual/d_m",
+        None,
+    ),
     "names of masks": (without(lambda e, f: e == f"{IMAGE}/instances" and f is None), "image/instances", None),
     "time by 1 ns": (later(f"{IMAGE}/residual/norm", 2, 1), "residual/norm", 2),
     "missing frame": (without(lambda _, f: f == 3), "world/camera", 3),
