@@ -39,8 +39,7 @@ doctor: $(VENV)/.ready  ## precision and recall of the doctor on injected faults
 	$(PY) -m benchmarks.doctor
 
 bench: $(VENV)/.ready  ## speed as ratios, from one run
-	$(PY) -m benchmarks.kernels
-	$(PY) -m benchmarks.objects
+	$(PY) -m benchmarks
 	$(PY) -m benchmarks.query
 	$(PY) -m benchmarks.segmenters
 	$(PY) -m benchmarks.diff
