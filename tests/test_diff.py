@@ -160,7 +160,7 @@ PLANTED = {  # name -> the edit, the entity that is named, the frame that is nam
         "residual/d_m",
         3,
     ),
-    "p_stat": (cell(f"{IMAGE}/residual/p_stat", 1, BLOB, steps(40_000, 128)), "residual/p_stat", 1),
+    "p_stat": (cell(f"{IMAGE}/residual/p_stat", 1, BLOB, steps(40_000, 512)), "residual/p_stat", 1),
     "sigma_z": (
         cell(f"{IMAGE}/residual/sigma_z", 0, BLOB, steps(9_000, 24_576)),
         "residual/sigma_z",

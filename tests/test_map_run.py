@@ -223,7 +223,7 @@ def test_a_recording_whose_writer_was_killed_holds_the_map_so_far(room, run, tmp
     code = """
 import os, sys, vlmm_log
 import vlmm_log.sinks.rerun as sink
-sink.PAIRS_A_FLUSH = 2
+sink.FLUSHED = 2
 def tell(done, expected):
     if done == 5: os._exit(9)
 s = vlmm_log.Settings.load(sets=["objects.segmenter=masks:" + sys.argv[1] + "/masks"])

@@ -22,8 +22,8 @@ JUDGED_NAMES: Mapping[str, LabelNames] = {  # of what only judged runs hold
         tuple((int(o), o.name.lower().replace("_", " "), color) for o, color in views.OUTCOME_COLORS.items())
     ),
 }
-D_M_STEP = P_STEP = 2.0**-6
-FB_STEP = 2.0**-6  # px
+D_M_STEP = FB_STEP = 2.0**-6  # sigmas, px
+P_STAT_STEP, P_MOVING_STEP = 2.0**-8, 2.0**-10  # most pixels are unlikely to move
 NORM_STEP = 2.0**-13  # m
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 MOVED = (230, 159, 0)
@@ -97,7 +97,7 @@ def of_motion(pair: FramePair, motion: Motion, *, dense: bool) -> Iterator[Named
     else:
         thin = motion.covariances(4)
         yield f"{path}/d_m", _steps(motion.d_m, D_M_STEP)
-        yield f"{path}/p_stat", _steps(motion.p_stat[::2, ::2], P_STEP)
+        yield f"{path}/p_stat", _steps(motion.p_stat[::2, ::2], P_STAT_STEP)
         yield f"{path}/norm", _steps(motion.norm[::2, ::2], NORM_STEP)
         yield f"{path}/sigma_z", _steps(thin.sigma_z, NORM_STEP)
         cm2 = thin.upper[:, ::2, ::2] * 1e4  # metres squared underflow half precision
@@ -108,7 +108,7 @@ def of_motion(pair: FramePair, motion: Motion, *, dense: bool) -> Iterator[Named
 def of_posterior(posterior: Posterior, *, dense: bool) -> Iterator[Named]:
     """How likely each pixel moved."""
     p = posterior.p_moving
-    yield f"{IMAGE}/residual/p_moving", Raster(p) if dense else _steps(p[::2, ::2], P_STEP)
+    yield f"{IMAGE}/residual/p_moving", Raster(p) if dense else _steps(p[::2, ::2], P_MOVING_STEP)
 
 
 def of_judgement(judgement: Judgement, *, dense: bool) -> Iterator[Named]:
