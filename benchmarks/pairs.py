@@ -50,7 +50,8 @@ def rate(source: Path, cores: int, workers: int, folder: Path) -> tuple[float, d
     script.write_text(RUN)
     out = folder / f"{cores}_{workers}.rrd"
     arguments = [sys.executable, str(script), str(source), str(out), str(cores), str(workers)]
-    told = json.loads(subprocess.run(arguments, capture_output=True, text=True, check=True).stdout)
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # as the command has it
+    told = json.loads(subprocess.run(arguments, capture_output=True, text=True, check=True, env=environment).stdout)
     times = told["times"]
     return (len(times) - 1 - WARM) / (times[-1] - times[WARM]), told["stages"]
 

@@ -714,6 +714,7 @@ def view(files: tuple[Path, ...], web: bool, port: int) -> None:
 def main() -> None:
     """Run the command line. Exit codes: 0 done, 1 the answer is no, 2 cannot be used, 130 interrupted."""
     debug = "--debug" in sys.argv[1:]
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no sum takes more; idle threads would spin beside the work
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # a damaged image is told by us, once
     try:
         cli.main(args=[a for a in sys.argv[1:] if a != "--debug"], prog_name="vlmm-log", standalone_mode=False)

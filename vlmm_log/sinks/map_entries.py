@@ -36,6 +36,8 @@ from vlmm_log.queries import Answer
 from vlmm_log.sinks.pair_entries import IMAGE, Named
 from vlmm_log.types import Float32, Float64, Int64, UInt16
 
+CLASS_NAMES = tuple(kind.name.lower() for kind in MotionClass)  # by number: an enumeration is slow to ask
+COLOR_OF = {kind.name.lower(): color for kind, color in CLASS_COLORS.items()}
 HIT_COLOR = (240, 228, 66)
 CLEAR = (0, 0, 0, 0)  # pixels of no instance
 MAP = "world/map"
@@ -194,7 +196,7 @@ def element_columns(elements: Elements) -> dict[str, Column]:
         "kappa": elements.kappa,
         "rho": elements.rho,
         "rho_source": elements.rho_sources,
-        "motion_class": tuple(MotionClass(c).name.lower() for c in elements.motion_class),
+        "motion_class": tuple(CLASS_NAMES[c] for c in elements.motion_class.tolist()),
         "confidence": elements.confidence,
         "p_stat": elements.p_stat,
         "score": elements.score,
@@ -233,7 +235,7 @@ def element_ellipsoids(columns: Mapping[str, Column]) -> Ellipsoids:
     named = zip(columns["element_id"], columns["label"], strict=True)
     return Ellipsoids(
         *_shapes(np.asarray(columns["position"], np.float32), np.asarray(columns["extent"], np.float32)),
-        colors=tuple(CLASS_COLORS[MotionClass[str(c).upper()]] for c in columns["motion_class"]),
+        colors=tuple(COLOR_OF[str(c)] for c in columns["motion_class"]),
         labels=tuple(f"{i} {name}".strip() for i, name in named),
         labelled=False,
     )

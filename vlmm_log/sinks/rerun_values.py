@@ -188,7 +188,7 @@ def _ellipsoids(shown: Ellipsoids) -> rr.Ellipsoids3D:
         centers=shown.centers,
         half_sizes=shown.half_sizes,
         quaternions=shown.quaternions,
-        colors=list(shown.colors),
+        colors=np.array(shown.colors, np.uint8).reshape(-1, 3),
         labels=list(shown.labels),
         show_labels=None if shown.labelled else False,
     )
