@@ -15,15 +15,16 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks import naive
-from benchmarks.data import SLICE, frames, room
+from benchmarks.data import SLICE, WEIGHTS, frames, room
 from benchmarks.rows import Row, cores, shown
 from vlmm_log.models.load import load_models
-from vlmm_log.settings import Settings
+from vlmm_log.settings import FlowSettings, Settings
 from vlmm_log.types import FramePair
 
 WARM = 20  # pairs
@@ -38,7 +39,8 @@ if __name__ == "__main__":
     keep_pages()
     times = []
     began = time.perf_counter()
-    done = process(source, rrd=out, workers=workers, progress=lambda done, expected: times.append(time.perf_counter()))
+    told = lambda done, expected: times.append(time.perf_counter())
+    done = process(source, rrd=out, force=True, workers=workers, progress=told)
     spent = {name[:-3]: value for name, value in done.summary.figures().items() if name.endswith("_ms")}
     print(json.dumps({"times": times, "began": began, "stages": spent}))
 """
@@ -71,15 +73,40 @@ def plain(source: Path, pairs: int = 2) -> float:
     return float(np.median(spent)) + decoded
 
 
+def of_raft(source: Path) -> float | None:
+    """What RAFT at full size takes beyond Farneback's flow, both ways on one thread, s; None where it is absent."""
+    if not WEIGHTS.is_dir() or find_spec("torchvision") is None:
+        return None
+    import torch
+
+    from vlmm_log.models.raft import Raft
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    raft = Raft(FlowSettings(estimator="raft", weights=str(WEIGHTS), raft_scale=1.0))
+    a, b = frames(source, most=4)[::3]
+    began = time.perf_counter()
+    raft(a, b)
+    middle = time.perf_counter()
+    naive.flow(FramePair(a, b))
+    torch.set_num_threads(threads)
+    return 2 * middle - began - time.perf_counter()
+
+
 def measured(short: bool = False) -> Iterator[Row]:
     """Throughput by cores and workers, and what a first run costs."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         source = SLICE if SLICE.exists() and not short else room(folder, 60)
         seconds = plain(source)
-        yield Row("the paper written plainly", 1 / seconds, "pairs/s")
+        yield Row("the paper written plainly, Farneback's flow", 1 / seconds, "pairs/s")
         one, stages = rate(source, 1, 1, folder)
         note = f"{one * seconds:.0f} times the plain one, 50 asked; at least 14 asked"
+        by_raft = None if short else of_raft(source)
+        if by_raft is not None:
+            literal = seconds + by_raft
+            told = f"one core is {one * literal:.0f} times it"
+            yield Row("the paper written plainly, RAFT as printed", 1 / literal, "pairs/s", told)
         yield Row("one core", one, "pairs/s", note)
         yield Row("one worker, all cores", rate(source, cores(), 1, folder)[0], "pairs/s")
         for workers in range(2, cores() + 1):
@@ -87,6 +114,8 @@ def measured(short: bool = False) -> Iterator[Row]:
             yield Row(f"{workers} workers on {workers} cores", many, "pairs/s", f"{many / one:.2f} times one core")
         for stage, ms in stages.items():
             yield Row(f"one core, {stage}", ms, "ms", "preempted by decoding and writing")
+        if short:
+            return
         again = seconds_of_a_run(source, folder, folder / "kernels")
         first = seconds_of_a_run(source, folder, folder / "other kernels", times=1)
         yield Row(
