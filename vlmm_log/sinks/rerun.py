@@ -10,7 +10,7 @@ import rerun as rr
 
 from vlmm_log.entries import Entry
 from vlmm_log.sinks.blueprint import CALIBRATED, default_blueprint
-from vlmm_log.sinks.footer import finish
+from vlmm_log.sinks.footer import PATIENCE_S, finish
 from vlmm_log.sinks.rerun_values import RerunValues
 from vlmm_log.types import Run, RunEnd
 
@@ -52,12 +52,12 @@ class RerunFile:
         if self._pairs >= self._due:
             self._due = min(8 * self._pairs, self._pairs + max(FLUSHED, self._pairs // PART))
             self._values.flush(FEW if self._pairs > FLUSHED else 1)
-            self._rec.flush()
+            self._rec.flush(timeout_sec=PATIENCE_S)
 
     def finish(self, end: RunEnd) -> None:
         """See recorder.Container."""
         self._values.flush()
-        self._rec.flush()  # that it is complete stands behind all that makes it so
+        self._rec.flush(timeout_sec=PATIENCE_S)  # that it is complete stands behind all that makes it so
         self._rec.send_property(
             "vlmm_end",
             rr.AnyValues(complete=end.complete, input_hash=end.input_hash, frames=end.frames, pairs=end.pairs),
@@ -81,7 +81,7 @@ class RerunFile:
         )
         rec.log("run", document(run), static=True)
         rec.log("world", UP[run.world_up], static=True)
-        rec.flush()  # settings are on disk before the first pair, whatever comes
+        rec.flush(timeout_sec=PATIENCE_S)  # settings are on disk before the first pair, whatever comes
 
 
 def document(run: Run) -> rr.TextDocument:
