@@ -22,6 +22,7 @@ PARTS = {
     "containers": containers.measured,
     "memory against length": memory.measured,
 }
+LONG = ("pairs a second", "containers", "memory against length")  # not in the short form
 
 
 def main() -> None:
@@ -34,6 +35,8 @@ def main() -> None:
     print(f"vlmm-log {__version__}, {machine()}; changes since the last run in {arguments.history}")
     figures = {}
     for part, measured in PARTS.items():
+        if arguments.short and part in LONG:
+            continue
         for row in shown(part, measured(arguments.short), before):
             figures[f"{part}: {row.name}"] = row.value
     remember(arguments.history, form, figures, __version__)
