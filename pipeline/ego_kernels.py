@@ -1,5 +1,4 @@
-"""Kernels of ego-refinement: MSAC scores, normal equations. They call none of another file: numba's cache would not
-see that one change."""
+"""Kernels of ego-refinement: transforms of image rows, MSAC scores, normal equations."""
 
 from __future__ import annotations
 

@@ -25,11 +25,6 @@ class Matches:
     inputs: Inputs  # for the kernels: depths, flow, and the noise of both
     alpha: float  # of the chi-square test
 
-    @property
-    def digested(self) -> tuple[Float32, Camera, Model, float]:
-        """What is its own: all else is frames and flow, or comes of the frames alone."""
-        return self.inputs.flow_covariance, self.inputs.camera, self.inputs.model, self.alpha
-
 
 def match(pair: FramePair, flow: FlowField, gate: GateSettings, noise: NoiseSettings) -> Matches:
     """Attach the gate and the noise model to the correspondences that the flow found."""

@@ -63,6 +63,17 @@ def byte(place, change):
     return edit
 
 
+def half(place, value):
+    """Write one half-precision number into a buffer."""
+
+    def edit(cell_value):
+        data = np.frombuffer(bytes(cell_value[0]), np.float16).copy()
+        data[place] = value
+        return [list(data.tobytes())]
+
+    return edit
+
+
 def steps(place, count):
     """Write one count into a field in steps: RVL behind 20 bytes of header."""
 
@@ -160,9 +171,9 @@ PLANTED = {  # name -> the edit, the entity that is named, the frame that is nam
         "residual/d_m",
         3,
     ),
-    "p_stat": (cell(f"{IMAGE}/residual/p_stat", 1, BLOB, steps(40_000, 512)), "residual/p_stat", 1),
+    "p_stat": (cell(f"{IMAGE}/residual/p_stat", 1, "DepthImage:buffer", half(40_000, 2)), "residual/p_stat", 1),
     "sigma_z": (
-        cell(f"{IMAGE}/residual/sigma_z", 0, BLOB, steps(9_000, 24_576)),
+        cell(f"{IMAGE}/residual/sigma_z", 0, "DepthImage:buffer", half(9_000, 3)),
         "residual/sigma_z",
         0,
     ),

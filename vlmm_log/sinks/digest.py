@@ -16,8 +16,7 @@ INPUTS = (FramePair, FlowField, Segments, Sightings)  # within a later stage's r
 def digest(result: object) -> int:
     """XXH3 (64 bits) over all numbers and texts that a stage's result holds, but for what is its input."""
     h = xxhash.xxh3_64()
-    own = getattr(result, "digested", result)
-    _add(h, result.columns if isinstance(result, WorldMap) else own)  # of the map: its elements
+    _add(h, result.columns if isinstance(result, WorldMap) else result)  # of the map: its elements
     return h.intdigest()
 
 

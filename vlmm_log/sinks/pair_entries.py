@@ -23,7 +23,7 @@ JUDGED_NAMES: Mapping[str, LabelNames] = {  # of what only judged runs hold
     ),
 }
 D_M_STEP = FB_STEP = 2.0**-6  # sigmas, px
-P_STAT_STEP, P_MOVING_STEP = 2.0**-8, 2.0**-10  # most pixels are unlikely to move
+P_MOVING_STEP = 2.0**-10  # most pixels are unlikely to move
 NORM_STEP = 2.0**-13  # m
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 MOVED = (230, 159, 0)
@@ -97,9 +97,9 @@ def of_motion(pair: FramePair, motion: Motion, *, dense: bool) -> Iterator[Named
     else:
         thin = motion.covariances(4)
         yield f"{path}/d_m", _steps(motion.d_m, D_M_STEP)
-        yield f"{path}/p_stat", _steps(motion.p_stat[::2, ::2], P_STAT_STEP)
+        yield f"{path}/p_stat", Raster(views.half(motion.p_stat[::2, ::2]))  # in steps, "not scored" would look like 0
         yield f"{path}/norm", _steps(motion.norm[::2, ::2], NORM_STEP)
-        yield f"{path}/sigma_z", _steps(thin.sigma_z, NORM_STEP)
+        yield f"{path}/sigma_z", Raster(views.half(thin.sigma_z))
         cm2 = thin.upper[:, ::2, ::2] * 1e4  # metres squared underflow half precision
         yield f"{path}/covariance", Raster(views.half(cm2), COVARIANCE)
     yield VECTORS, Arrows(*views.moved_arrows(motion, pair.first, pair.second), color=MOVED)
