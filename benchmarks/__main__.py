@@ -8,21 +8,23 @@ Nothing here fails on a slow machine. Figures move by a tenth from run to run, m
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from benchmarks import containers, growth, memory, objects, pairs, stages
 from benchmarks.rows import last, machine, remember, shown
 from vlmm_log.version import __version__
 
-PARTS = {
+BOTH = {
     "stages of a pair, one thread": stages.measured,
     "objects of a pair, 30 masks": objects.measured,
-    "pairs a second": pairs.measured,
     "growth of the cost": growth.measured,
+}
+FULL = {
+    "pairs a second": pairs.measured,
     "containers": containers.measured,
     "memory against length": memory.measured,
 }
-LONG = ("pairs a second", "containers", "memory against length")  # not in the short form
 
 
 def main() -> None:
@@ -34,10 +36,9 @@ def main() -> None:
     before = last(arguments.history, form)
     print(f"vlmm-log {__version__}, {machine()}; changes since the last run in {arguments.history}")
     figures = {}
-    for part, measured in PARTS.items():
-        if arguments.short and part in LONG:
-            continue
-        for row in shown(part, measured(arguments.short), before):
+    parts = {part: partial(measured, arguments.short) for part, measured in BOTH.items()}
+    for part, measured in (parts if arguments.short else parts | FULL).items():
+        for row in shown(part, measured(), before):
             figures[f"{part}: {row.name}"] = row.value
     remember(arguments.history, form, figures, __version__)
 

@@ -34,11 +34,11 @@ def seconds(*arguments: str) -> float:
     return min(times)
 
 
-def measured(short: bool = False) -> Iterator[Row]:
+def measured() -> Iterator[Row]:
     """Reading, `--help`, `info`."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        source = SLICE if SLICE.exists() and not short else room(folder, 20)
+        source = SLICE if SLICE.exists() else room(folder, 20)
         paths = [("TUM folder", source)]
         for file, kind in KINDS:
             convert(source, folder / file, to=kind, images="compressed")

@@ -72,10 +72,8 @@ def _frames(log: Log, start_ns: int, stop_ns: int) -> Iterator[Frame]:
     return (f for f in log.frames(start_ns, stop_ns) if isinstance(f, Frame))
 
 
-def measured(short: bool = False, pairs: int = 1000) -> Iterator[Row]:
+def measured(pairs: int = 1000) -> Iterator[Row]:
     """Peak memory of one long run; nothing in a short form."""
-    if short:
-        return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         source = SLICE if SLICE.exists() else room(folder, EARLY)

@@ -93,16 +93,16 @@ def of_raft(source: Path) -> float | None:
     return 2 * middle - began - time.perf_counter()
 
 
-def measured(short: bool = False) -> Iterator[Row]:
+def measured() -> Iterator[Row]:
     """Throughput by cores and workers, and what a first run costs."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        source = SLICE if SLICE.exists() and not short else room(folder, 60)
+        source = SLICE if SLICE.exists() else room(folder, 60)
         seconds = plain(source)
         yield Row("the paper written plainly, Farneback's flow", 1 / seconds, "pairs/s")
         one, stages = rate(source, 1, 1, folder)
         note = f"{one * seconds:.0f} times the plain one, 50 asked; at least 14 asked"
-        by_raft = None if short else of_raft(source)
+        by_raft = of_raft(source)
         if by_raft is not None:
             literal = seconds + by_raft
             told = f"one core is {one * literal:.0f} times it"
@@ -114,8 +114,6 @@ def measured(short: bool = False) -> Iterator[Row]:
             yield Row(f"{workers} workers on {workers} cores", many, "pairs/s", f"{many / one:.2f} times one core")
         for stage, ms in stages.items():
             yield Row(f"one core, {stage}", ms, "ms", "preempted by decoding and writing")
-        if short:
-            return
         again = seconds_of_a_run(source, folder, folder / "kernels")
         first = seconds_of_a_run(source, folder, folder / "other kernels", times=1)
         yield Row(

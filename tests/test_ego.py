@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vlmm_log import se3
 from vlmm_log.models.segmenters import no_segments
-from vlmm_log.pipeline.ego import _Grid, refine_ego, total_weight
+from vlmm_log.pipeline.ego import _Grid, _quartile, refine_ego, row_transforms, total_weight
 from vlmm_log.pipeline.matches import match
 from vlmm_log.pipeline.motion import measure_motion
 from vlmm_log.settings import EgoSettings, Settings
@@ -204,3 +204,17 @@ def test_pieces_of_the_whole_view_are_left_alone():
     things = replace(parts, partition=False)
     assert (grid.balanced(things, 0.08) == 1).all()  # four masks cannot have 8 % each
     assert grid.balanced(things, 0.3).min() < 1 or np.bincount(pieces.ravel()).max() <= 0.3 * pieces.size
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-6, 1e-3, 1.0, 3.0])
+def test_transforms_of_rows_are_exponentials(size):
+    rng = np.random.default_rng(4)
+    T, twist, rows = se3.exp(rng.normal(size=6)), size * rng.normal(size=6), np.arange(0, 480, 7)
+    book = se3.exp((rows / 480 - 0.5)[:, None] * twist) @ T
+    np.testing.assert_allclose(row_transforms(T, twist, rows, 480), book, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 1000, 1001, 1002, 1003])
+def test_the_quartile_is_numpys(count):
+    values = np.random.default_rng(count).random(count).astype(np.float32)
+    assert _quartile(values) == pytest.approx(np.quantile(values, 0.25), rel=1e-6)
