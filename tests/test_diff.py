@@ -171,7 +171,7 @@ PLANTED = {  # name -> the edit, the entity that is named, the frame that is nam
         "residual/d_m",
         3,
     ),
-    "p_stat": (cell(f"{IMAGE}/residual/p_stat", 1, "DepthImage:buffer", half(40_000, 2)), "residual/p_stat", 1),
+    "p_stat": (cell(f"{IMAGE}/residual/p_stat", 1, "DepthImage:buffer", half(9_000, 2)), "residual/p_stat", 1),
     "sigma_z": (
         cell(f"{IMAGE}/residual/sigma_z", 0, "DepthImage:buffer", half(9_000, 3)),
         "residual/sigma_z",
