@@ -97,7 +97,7 @@ def of_motion(pair: FramePair, motion: Motion, *, dense: bool) -> Iterator[Named
     else:
         thin = motion.covariances(4)
         yield f"{path}/d_m", _steps(motion.d_m, D_M_STEP)
-        yield f"{path}/p_stat", Raster(views.half(motion.p_stat[::4, ::4]))  # in steps, "not scored" would look like 0
+        yield f"{path}/p_stat", Raster(views.half(motion.p_stat[::4, ::4]))
         yield f"{path}/norm", _steps(motion.norm[::2, ::2], NORM_STEP)
         yield f"{path}/sigma_z", Raster(views.half(thin.sigma_z))
         cm2 = thin.upper[:, ::2, ::2] * 1e4  # metres squared underflow half precision
