@@ -36,7 +36,8 @@ def posterior(motion: Motion, curve: Curve) -> Posterior:
 def _knots(curve: Curve) -> _Knots:
     floors = (np.arange(INFINITE + 1, dtype=np.uint32) << SHIFT).view(np.float32)
     start = np.searchsorted(curve.x, floors, "right") - 1
-    slope = np.append(np.diff(curve.p) / np.diff(curve.x), 0.0)
+    with np.errstate(over="ignore"):  # knots as close as float64 has them: as steep as a float32 tells
+        slope = np.append(np.diff(curve.p) / np.diff(curve.x), 0.0)
     x, p = curve.x.astype(np.float32), curve.p.astype(np.float32)
     return _Knots(start.clip(0).astype(np.int32), x, p, slope.clip(max=1e30).astype(np.float32))
 

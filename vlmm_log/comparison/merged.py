@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +15,12 @@ from vlmm_log.comparison.words import readable
 from vlmm_log.depth_pixels import metres
 from vlmm_log.entries import DepthMap, Entry, LabelNames, Labels, Raster, Scalar, Value
 from vlmm_log.recording import Recording
-from vlmm_log.sinks.footer import finish
 from vlmm_log.sinks.map_entries import CLEAR
 from vlmm_log.sinks.pair_entries import IMAGE
 from vlmm_log.sinks.redrawn import Redrawn
 from vlmm_log.sinks.rerun import UP
 from vlmm_log.sinks.rerun_values import Range, RerunValues
+from vlmm_log.sinks.rrd_file import RrdFile
 
 SIDES = ("A", "B")
 DIFFERS = LabelNames(((0, "same", CLEAR), (1, "differs", (213, 94, 0))))
@@ -43,7 +42,6 @@ class Merged:
     def __init__(self, path: Path, recordings: tuple[Recording, Recording]) -> None:
         rr.set_strict_mode(True)
         ids = "\n".join(f"{r.run.recording_id} {readable(Path(r.path.name))}" for r in recordings)
-        self._path = path
         self._rec = rr.RecordingStream(
             "vlmm-log-diff",  # another application: viewers remember how each was arranged
             recording_id=f"diff-{hashlib.sha256(ids.encode()).hexdigest()[:12]}",
@@ -52,7 +50,7 @@ class Merged:
         )
         self._sides = [RerunValues(self._rec, f"{side}/") for side in SIDES]
         self._delta = RerunValues(self._rec, "delta/", RANGES)
-        self._rec.save(path, default_blueprint=merged_blueprint())
+        self._file = RrdFile(self._rec, path, merged_blueprint())
         self._rec.send_recording_name(" | ".join(readable(Path(r.path.name)) for r in recordings))
         for recording, side in zip(recordings, SIDES, strict=True):
             self._rec.log(f"{side}/world", UP[recording.run.world_up], static=True)
@@ -61,11 +59,7 @@ class Merged:
             self._delta.put(Entry(entity, DIFFERS, None, None))
 
     def take(self, match: Match) -> None:
-        """Write what both have, and how far it is apart. Raises OSError where the disk takes no more."""
-        with _disk():
-            self._take(match)
-
-    def _take(self, match: Match) -> None:
+        """Write what both have, and how far it is apart."""
         at = match.at
         for side, value in enumerate((match.a, match.b)):
             if value is not None:
@@ -78,28 +72,17 @@ class Merged:
                 self._delta.put(Entry(match.entity, delta, at.stamp_ns, at.index))
 
     def finish(self, told: str) -> None:
-        """Write what is to read of the difference (Markdown) and the footer. Raises OSError."""
-        with _disk():
-            for values, drawn in zip(self._sides, self._drawn, strict=True):
-                drawn.rest()
-                values.flush()
-            self._delta.flush()
-            self._rec.log("diff", rr.TextDocument(told, media_type="text/markdown"), static=True)
-            finish(self._rec, self._path)
+        """Write what is to read of the difference (Markdown) and the footer. Raises OSError where the disk refused."""
+        for values, drawn in zip(self._sides, self._drawn, strict=True):
+            drawn.rest()
+            values.flush()
+        self._delta.flush()
+        self._rec.log("diff", rr.TextDocument(told, media_type="text/markdown"), static=True)
+        self._file.finish()
 
     def close(self) -> None:
-        """Let go of the file. Raises OSError where what waited could not be written."""
-        with _disk():
-            self._rec.disconnect()
-
-
-@contextmanager
-def _disk() -> Iterator[None]:
-    """What Rerun reports of its writing thread, as what it is."""
-    try:
-        yield
-    except RuntimeError as e:
-        raise OSError(f"{e}; is the disk full?") from e
+        """Let go of the file."""
+        self._file.close()
 
 
 def _delta(a: Value, b: Value) -> Value | None:

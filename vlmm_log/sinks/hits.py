@@ -12,10 +12,10 @@ import rerun as rr
 from vlmm_log.elements import Elements
 from vlmm_log.entries import Entry, Labels
 from vlmm_log.queries import Answer
-from vlmm_log.sinks.footer import finish
 from vlmm_log.sinks.map_entries import LARGEST_ID, MAP, hit_names, hits, mask_classes, slug
 from vlmm_log.sinks.pair_entries import IMAGE
 from vlmm_log.sinks.rerun_values import RerunValues
+from vlmm_log.sinks.rrd_file import RrdFile
 from vlmm_log.types import InputError, UInt8, UInt16
 
 
@@ -24,24 +24,20 @@ def write_hits(
 ) -> None:
     """Ellipsoids and reasons of the answers for all times, and their pixels in every frame that has masks.
 
-    ``recording_id`` is that of the run's recording; masks give frame index, stamp ns and element ids (H, W).
+    ``recording_id`` is that of the run's recording; masks give frame index, stamp ns and element ids (H, W). Raises
+    OSError where the disk refuses.
     """
     rr.set_strict_mode(True)
     rec = rr.RecordingStream("vlmm-log", recording_id=recording_id, send_properties=False)
     values = RerunValues(rec)
-    try:
-        rec.save(path)
+    with RrdFile(rec, path) as file:
         entity = f"query/{slug(answer.text)}"
         values.put(Entry(f"{MAP}/{entity}", hits(elements, answer), None, None))
         values.put(Entry(f"{IMAGE}/{entity}", hit_names(answer), None, None))
         wanted = _wanted(answer)
         for index, stamp_ns, labels in masks:
             values.put(Entry(f"{IMAGE}/{entity}", Labels(wanted[labels]), stamp_ns, index))
-        finish(rec, path)
-    except RuntimeError as e:  # so Rerun reports what its own thread could not write
-        raise OSError(f"{e}") from e
-    finally:
-        rec.disconnect()
+        file.finish()
 
 
 def write_masks(folder: Path, answer: Answer, masks: Iterable[tuple[int, int, UInt16]], *, force: bool) -> None:

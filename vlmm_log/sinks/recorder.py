@@ -49,7 +49,7 @@ def open_recording(path: Path, container: Callable[[Path], Container]) -> Record
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return Recording(path, container(_partial(path)))
-    except (OSError, RuntimeError) as e:
+    except OSError as e:
         raise InputError(f"{path}: cannot be written: {e}") from e
 
 
@@ -85,7 +85,7 @@ class Recorder:
         for recording in self.recordings:
             try:
                 _finish(recording, rest, end)
-            except (OSError, RuntimeError) as e:
+            except OSError as e:
                 errors.append(_unwritable(recording, e))
         if errors:
             for other in errors[1:]:
@@ -100,7 +100,7 @@ class Recorder:
         for recording in self.recordings:
             try:
                 act(recording.container)
-            except (OSError, RuntimeError) as e:  # Rerun reports a failed write of its own thread as RuntimeError
+            except OSError as e:
                 raise _unwritable(recording, e) from e
 
 

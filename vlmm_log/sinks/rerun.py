@@ -10,8 +10,8 @@ import rerun as rr
 
 from vlmm_log.entries import Entry
 from vlmm_log.sinks.blueprint import CALIBRATED, default_blueprint
-from vlmm_log.sinks.footer import PATIENCE_S, finish
 from vlmm_log.sinks.rerun_values import RerunValues
+from vlmm_log.sinks.rrd_file import RrdFile
 from vlmm_log.types import Run, RunEnd
 
 FLUSHED = 64  # pairs, or a PARTth of the run: what a kill may cost. A flush makes chunks, of which Rerun keeps notes
@@ -29,17 +29,16 @@ class RerunFile:
 
     def __init__(self, path: Path, run: Run, images: Sequence[str] = ()) -> None:
         rr.set_strict_mode(True)
-        self._path = path
         self._rec = rr.RecordingStream(
             "vlmm-log",
             recording_id=run.recording_id,
             send_properties=False,  # the time of day it would send makes equal runs differ
-            batcher_config=rr.ChunkBatcherConfig(flush_tick=1e6, flush_num_bytes=1 << 22),
+            batcher_config=rr.ChunkBatcherConfig(flush_tick=1e6, flush_num_bytes=1 << 24),
         )
         self._values = RerunValues(self._rec)
         self._pairs, self._due = 0, 2
         calibrated = CALIBRATED if "calibration" in run.versions else ()
-        self._rec.save(path, default_blueprint=default_blueprint((*calibrated, *images)))
+        self._file = RrdFile(self._rec, path, default_blueprint((*calibrated, *images)))
         self._begin(run)
 
     def put(self, entry: Entry) -> None:
@@ -52,17 +51,17 @@ class RerunFile:
         if self._pairs >= self._due:
             self._due = min(8 * self._pairs, self._pairs + max(FLUSHED, self._pairs // PART))
             self._values.flush(FEW if self._pairs > FLUSHED else 1)
-            self._rec.flush(timeout_sec=PATIENCE_S)
+            self._file.flush()
 
     def finish(self, end: RunEnd) -> None:
         """See recorder.Container."""
         self._values.flush()
-        self._rec.flush(timeout_sec=PATIENCE_S)  # that it is complete stands behind all that makes it so
+        self._file.flush()  # that it is complete stands behind all that makes it so
         self._rec.send_property(
             "vlmm_end",
             rr.AnyValues(complete=end.complete, input_hash=end.input_hash, frames=end.frames, pairs=end.pairs),
         )
-        finish(self._rec, self._path)
+        self._file.finish()
 
     def _begin(self, run: Run) -> None:
         rec = self._rec
@@ -81,7 +80,7 @@ class RerunFile:
         )
         rec.log("run", document(run), static=True)
         rec.log("world", UP[run.world_up], static=True)
-        rec.flush(timeout_sec=PATIENCE_S)  # settings are on disk before the first pair, whatever comes
+        self._file.flush()  # settings are on disk before the first pair, whatever comes
 
 
 def document(run: Run) -> rr.TextDocument:
