@@ -33,9 +33,10 @@ keep_pages()
 peaks = {}
 def told(done, expected):
     peaks[done] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-source, out, times = sys.argv[1], sys.argv[2], int(sys.argv[3])
+source, times, out = sys.argv[1], int(sys.argv[2]), (sys.argv[3:] or [None])[0]
 process(Repeated(open_log(source), times), rrd=out, progress=told)
-print(json.dumps([peaks[100], max(peaks), peaks[max(peaks)], Path(out).stat().st_size / 1e6]))
+size = Path(out).stat().st_size / 1e6 if out else 0.0
+print(json.dumps([peaks[100], max(peaks), peaks[max(peaks)], size]))
 """
 
 
@@ -73,16 +74,18 @@ def _frames(log: Log, start_ns: int, stop_ns: int) -> Iterator[Frame]:
 
 
 def measured(pairs: int = 1000) -> Iterator[Row]:
-    """Peak memory of one long run; nothing in a short form."""
+    """Peak memory of long runs, with a recording and without; nothing in a short form."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         source = SLICE if SLICE.exists() else room(folder, EARLY)
-        arguments = [sys.executable, "-c", RUN, source, folder / "long.rrd", str(-(-pairs // 100))]
-        told = subprocess.run(arguments, capture_output=True, text=True, check=True, cwd=ROOT).stdout
-        early, count, late, size = json.loads(told)
-    yield Row(f"peak after {EARLY} pairs", early, "MiB")
-    yield Row(f"peak after {count} pairs", late, "MiB", f"{late / early:.3f} of it, at most 1.05 asked")
-    yield Row("recording of them", size / count, "MB", "a pair")
+        for what, out in (("recorded", [folder / "long.rrd"]), ("unrecorded", [])):
+            arguments = [sys.executable, "-c", RUN, source, str(-(-pairs // 100)), *out]
+            told = subprocess.run(arguments, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+            early, count, late, size = json.loads(told)
+            yield Row(f"{what}: peak after {EARLY} pairs", early, "MiB")
+            yield Row(f"{what}: peak after {count} pairs", late, "MiB", f"{late / early:.3f} of it, at most 1.05 asked")
+            if out:
+                yield Row("recording of them", size / count, "MB", "a pair")
 
 
 if __name__ == "__main__":

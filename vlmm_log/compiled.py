@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -13,6 +14,7 @@ import numba
 from vlmm_log.cache import cache_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
+KEPT = 24  # rooms' kernels, of a few versions of this package side by side
 
 
 # No fastmath: what it reorders depends on which parts a cache held when the rest was compiled, and equal runs would
@@ -35,4 +37,17 @@ def jit(kernel: F) -> F:
 def _cache(room: Path) -> Path:
     """A folder for these very kernels: named by a digest of all of a room, as they are compiled into one another."""
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(room.glob("*.py"))))
-    return cache_folder("kernels") / digest.hexdigest()[:16]
+    folder = cache_folder("kernels") / digest.hexdigest()[:16]
+    if not folder.exists():
+        _forget(folder.parent)
+    return folder
+
+
+def _forget(kept: Path) -> None:
+    """Remove all but the newest kernels: an upgrade leaves old ones behind."""
+    try:
+        old = sorted((f for f in kept.iterdir() if f.is_dir()), key=lambda f: f.stat().st_mtime)[:-KEPT]
+    except OSError:  # none yet, or another process does the same
+        return
+    for folder in old:
+        shutil.rmtree(folder, ignore_errors=True)

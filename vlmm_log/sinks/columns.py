@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vlmm_log.entries import Arrows, Entry, Picture, Pose, Raster, Scalar, States, Steps, Value
 
-MOST = 1 << 22  # bytes of an entity's rows, until they are sent; a row counts for ROW at least
+MOST = 1 << 20  # bytes of an entity's rows, until they are sent; a row counts for ROW at least
 ROW = 1 << 11
 SMALL = 1 << 17  # bytes
 RVL = "application/rvl"

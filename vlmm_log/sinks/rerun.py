@@ -33,7 +33,7 @@ class RerunFile:
             "vlmm-log",
             recording_id=run.recording_id,
             send_properties=False,  # the time of day it would send makes equal runs differ
-            batcher_config=rr.ChunkBatcherConfig(flush_tick=1e6, flush_num_bytes=1 << 24),
+            batcher_config=rr.ChunkBatcherConfig(flush_tick=1e6, flush_num_bytes=1 << 22),
         )
         self._values = RerunValues(self._rec)
         self._pairs, self._due = 0, 2
