@@ -43,6 +43,7 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/rvl.py": {"types", "compiled"},
     "vlmm_log/heap.py": set(),
     "vlmm_log/workers": GROUND | {"workers", "pipeline", "models", "sinks", "heap"},
+    "vlmm_log/resuming": GROUND | {"resuming", "workers", "pipeline", "sinks"},
     "vlmm_log/evaluation": GROUND | {"evaluation", "pages", "pipeline", "sinks", "version"},
 }
 FOREIGN = {  # what only some rooms may know

@@ -110,6 +110,7 @@ def _settings(
 @click.option("--calibration", help="File of eval --calibrate: p_moving of pixels and elements.")
 @click.option("--dense", is_flag=True, help="Write full float32 tensors and covariances.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that share the work.")
+@click.option("--resume", is_flag=True, help="Keep what pairs show until all is written; go on where such a run ended.")
 @click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
 @click.option("--json", "as_json", is_flag=True, help="Print the closing figures as JSON.")
 def process(
@@ -135,6 +136,7 @@ def process(
     intrinsics: str | None,
     dense: bool,
     workers: int,
+    resume: bool,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -178,12 +180,17 @@ def process(
             force=force,
             progress=told,
             workers=workers,
+            resume=resume,
         )
     if as_json:
         click.echo(json.dumps(run_report(done), indent=2))
     else:
         print_run(done)
+    if done.resumed:
+        click.echo(f"went on after {done.resumed} pairs of an earlier run", err=True)
     if not done.end.complete:
+        again = "the same command goes on from here" if resume else "with --resume it could go on from here"
+        click.echo(f"interrupted: {again}", err=True)
         sys.exit(INTERRUPTED)
 
 
@@ -732,6 +739,10 @@ def main() -> None:
 
         if debug:
             traceback.print_exc()
+        elif isinstance(e, MemoryError):
+            click.echo(
+                f"vlmm-log: out of memory ({e}): give fewer --workers, or a window by --start and --stop", err=True
+            )
         elif isinstance(e, InputError | OSError):
             click.echo("; ".join([f"vlmm-log: {e}", *getattr(e, "__notes__", [])]), err=True)
         else:

@@ -1,4 +1,4 @@
-"""Ctrl-C that waits for the pair in hand, so that no result is torn."""
+"""Ctrl-C, or a termination, that waits for the pair in hand, so that no result is torn."""
 
 from __future__ import annotations
 
@@ -6,30 +6,36 @@ import signal
 import threading
 from types import FrameType, TracebackType
 
+ORDINARY = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+
 
 class Interruption:
-    """While entered, the first Ctrl-C only sets ``asked``; a second one raises KeyboardInterrupt at once.
+    """While entered, the first Ctrl-C or SIGTERM only sets ``asked``; after it both act as ever, at once.
 
-    Does nothing outside the main thread, or where somebody else handles the signal.
+    Does nothing outside the main thread; a signal that somebody else handles is left to them.
     """
 
     def __init__(self) -> None:
         self.asked = False
-        self._installed = False
+        self._taken: list[signal.Signals] = []
 
     def __enter__(self) -> Interruption:
-        main = threading.current_thread() is threading.main_thread()
-        if main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._ask)
-            self._installed = True
+        if threading.current_thread() is threading.main_thread():
+            self._taken = [number for number, ordinary in ORDINARY.items() if signal.getsignal(number) is ordinary]
+            for number in self._taken:
+                signal.signal(number, self._ask)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._installed:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        self._give_back()
 
     def _ask(self, _signal: int, _frame: FrameType | None) -> None:
         self.asked = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        self._give_back()
+
+    def _give_back(self) -> None:
+        for number in self._taken:
+            signal.signal(number, ORDINARY[number])
+        self._taken = []

@@ -37,11 +37,11 @@ def replacing(*paths: Path, force: bool) -> Iterator[list[Path]]:
         raise InputError(f"{paths[0]}: cannot be written: {e.strerror or e}; nothing was replaced") from e
 
 
-def claim(paths: Iterable[Path], *, force: bool, inputs: Iterable[Path] = ()) -> None:
+def claim(paths: Iterable[Path], *, force: bool, inputs: Iterable[Path] = (), unfinished: bool = False) -> None:
     """Refuse before a long run what could not be written after it.
 
-    Raises InputError where a name is a folder, taken (without ``force``), an input, named twice, or in a place that
-    takes no file.
+    ``unfinished``: what an earlier run left as NAME.partial may be replaced. Raises InputError where a name is a
+    folder, taken (without ``force``), an input, named twice, or in a place that takes no file.
     """
     read = {path.resolve() for path in inputs}
     taken: set[Path] = set()
@@ -50,8 +50,8 @@ def claim(paths: Iterable[Path], *, force: bool, inputs: Iterable[Path] = ()) ->
             raise InputError(f"{str(path)!r}: names no file")
         partial = path.with_name(path.name + ".partial")
         try:
-            for name in (path, partial):
-                _check_free(name, force)
+            _check_free(path, force)
+            _check_free(partial, force or unfinished)
             where = {path.resolve(), partial.resolve()}
             there = next(parent for parent in path.resolve().parents if parent.exists())
         except OSError as e:

@@ -100,7 +100,7 @@ class Crew:
     def close(self) -> None:
         """End the workers, whatever they do."""
         for hand in self._hands:
-            hand.process.terminate()
+            hand.process.kill()  # they hear nothing else, and hold nothing that could be lost
         for hand in self._hands:
             hand.process.join(PATIENCE_S)
             hand.connection.close()

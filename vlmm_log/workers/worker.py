@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import signal
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -17,7 +17,7 @@ from vlmm_log.pipeline.run import Look, look
 from vlmm_log.protocols import Make, Models
 from vlmm_log.settings import Settings
 from vlmm_log.sinks.many import made_by
-from vlmm_log.types import FramePair
+from vlmm_log.types import FramePair, Skipped
 from vlmm_log.workers.slot import Sizes, Slot
 
 READY = "ready"
@@ -29,6 +29,10 @@ class Looked:
 
     look: Look
     made: list[tuple[Any, float]]  # of each result, by the sink's first half, and what the stage took, ms
+
+
+Looks = Callable[[Iterator[FramePair | Skipped], Make], Generator[tuple[FramePair, Looked] | Skipped]]
+"""Whoever looks at the pairs of a stream: in its order, with all that it left out."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +51,27 @@ class Done:
     error: Exception | None = None
 
 
+def looked_at(pair: FramePair, make: Make, models: Models, s: Settings) -> Looked:
+    """What a pair shows, and the sink's first half of it."""
+    observe, made = made_by(make, pair)
+    return Looked(look(pair, models, s, observe), made)
+
+
+def alone(
+    models: Models, s: Settings, stream: Iterator[FramePair | Skipped], make: Make
+) -> Generator[tuple[FramePair, Looked] | Skipped]:
+    """One after another, in this process."""
+    for item in stream:
+        yield item if isinstance(item, Skipped) else (item, looked_at(item, make, models, s))
+
+
 def work(connection: Connection, pairs: Sequence[Path], results: Sequence[Path], s: Settings) -> None:
     """Look at pairs until the caller has no more, or is gone. ``pairs`` and ``results`` are the slots' files.
 
     Says that they are open; then takes the sink's first half, and jobs, each of which it answers.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's to handle
+    for number in (signal.SIGINT, signal.SIGTERM):  # of a whole group of processes: the caller's to handle
+        signal.signal(number, signal.SIG_IGN)
     keep_pages()
     slots = [(Slot(a), Slot(b)) for a, b in zip(pairs, results, strict=True)]
     with suppress(EOFError, OSError):  # the caller is gone
@@ -83,9 +102,7 @@ def _answer(job: Job, pair: Slot, result: Slot, make: Make, models: Models | Exc
     try:
         if isinstance(models, Exception):
             raise models
-        given: FramePair = pair.get(job.sizes)
-        observe, made = made_by(make, given)
-        return Done(result.put(Looked(look(given, models, s, observe), made)))
+        return Done(result.put(looked_at(pair.get(job.sizes), make, models, s)))
     except Exception as e:  # noqa: BLE001  raised again by the caller, in its turn
         return Done([], _sendable(e))
 

@@ -1,0 +1,145 @@
+"""What pairs showed, kept beside the output until the run is complete: a SQLite file, one row a pair."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from vlmm_log.protocols import Make
+from vlmm_log.resuming.packing import pack, unpack
+from vlmm_log.sinks.digest import digest
+from vlmm_log.types import FramePair, InputError, Run, Skipped
+from vlmm_log.workers.worker import Looked, Looks
+
+VERSION = 1
+TABLES = """
+PRAGMA locking_mode = EXCLUSIVE;
+PRAGMA synchronous = OFF;
+BEGIN EXCLUSIVE;
+CREATE TABLE IF NOT EXISTS run (told TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS pairs (turn INTEGER PRIMARY KEY, pair INTEGER NOT NULL, kept INTEGER NOT NULL, looked BLOB);
+COMMIT;
+"""  # a killed process loses nothing that was committed; a machine without power may, and the digests tell
+
+
+def journal_of(output: Path) -> Path:
+    """Where a run keeps what its pairs showed."""
+    return output.with_name(output.name + ".journal")
+
+
+class Journal:
+    """The pairs of an earlier run of the same kind, and of this one. Raises InputError where it is of another kind."""
+
+    def __init__(self, path: Path, run: Run, *, recorded: bool) -> None:
+        self._path = path
+        self.taken = 0  # pairs of an earlier run
+        self._empty = True
+        told = {"version": VERSION, "source": run.source, "settings": run.settings, "libraries": run.versions}
+        told["what is recorded"] = recorded
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            self._rows = sqlite3.connect(path, isolation_level=None)
+            try:
+                self._rows.executescript(TABLES)
+                self._check(told)
+            except BaseException:
+                self._rows.close()
+                raise
+        except sqlite3.Error as e:
+            remedy = "is another run at it? else remove it" if "locked" in str(e) else "remove it to start anew"
+            raise InputError(f"{path}: cannot be used ({e}); {remedy}") from e
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._empty:
+            self._rows.close()
+        elif self._path.exists():
+            self.remove()
+
+    def looks(
+        self, others: Looks, stream: Iterator[FramePair | Skipped], make: Make
+    ) -> Generator[tuple[FramePair, Looked] | Skipped]:
+        """What is known of the first pairs of a stream, and what ``others`` see of the rest, which is kept.
+
+        Raises InputError where the stream is not the one of which pairs are known, or the disk takes no more.
+        """
+        for pair, looked in self._known():
+            item = next(stream, None)
+            while isinstance(item, Skipped):
+                yield item
+                item = next(stream, None)
+            if item is None or digest(item) != pair:
+                where = "it ends before" if item is None else f"other images or poses from frame {item.first.index} on"
+                raise InputError(f"{self._path}: of another log ({where}); remove it to start anew")
+            self.taken += 1
+            self._empty = False
+            yield item, looked
+        turn = self.taken
+        for of_pair in others(stream, make):
+            if not isinstance(of_pair, Skipped):
+                self._keep(turn, *of_pair)
+                self._empty = False
+                turn += 1
+            yield of_pair
+
+    def remove(self) -> None:
+        """Nothing is left to go on with."""
+        self._rows.close()
+        self._path.unlink(missing_ok=True)
+
+    def _known(self) -> Iterator[tuple[int, Looked]]:
+        """Digest of each pair, and what it showed; up to what is damaged, which is looked at again."""
+        with self._disk():
+            turns = self._rows.execute("SELECT count(*) FROM pairs").fetchone()[0]
+        for turn in range(turns):
+            with self._disk():
+                row = self._rows.execute("SELECT pair, kept, looked FROM pairs WHERE turn = ?", (turn,)).fetchone()
+            if row is None or _of_bytes(row[2]) != _unsigned(row[1]):
+                return
+            yield _unsigned(row[0]), unpack(row[2])
+
+    def _keep(self, turn: int, pair: FramePair, looked: Looked) -> None:
+        data = pack(looked)
+        row = (turn, _signed(digest(pair)), _signed(_of_bytes(data)), data)
+        with self._disk():
+            self._rows.execute("INSERT OR REPLACE INTO pairs VALUES (?, ?, ?, ?)", row)
+
+    def _check(self, told: dict[str, object]) -> None:
+        row = self._rows.execute("SELECT told FROM run").fetchone()
+        if row is None:
+            self._rows.execute("INSERT INTO run VALUES (?)", (json.dumps(told),))
+            return
+        before = json.loads(row[0])
+        for name, value in told.items():
+            if before.get(name) != value:
+                raise InputError(f"{self._path}: kept by a run with another {name}; repeat that, or remove the file")
+
+    @contextmanager
+    def _disk(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as e:
+            raise InputError(f"{self._path}: cannot be used ({e}); is the disk full? else remove it") from e
+
+
+def _of_bytes(data: bytes) -> int:
+    return digest(np.frombuffer(data, np.uint8))
+
+
+def _signed(number: int) -> int:
+    """SQLite's integers have a sign."""
+    return number - (1 << 64) if number >= 1 << 63 else number
+
+
+def _unsigned(number: int) -> int:
+    return number + (1 << 64) if number < 0 else number
