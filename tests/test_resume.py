@@ -89,7 +89,7 @@ def test_twice_interrupted_and_by_sigterm(logs, whole, tmp_path):
 def test_what_cannot_be_gone_on_with_is_refused_and_kept(logs, tmp_path):
     interrupted(logs / "posed", tmp_path, 2)
     kept = (tmp_path / "a.rrd.journal").read_bytes()
-    other = Settings.load(sets=["gate.fb_px=2"])
+    other = Settings.load(sets=["gate.fb_px=2.5"])
     for log, options, why in (
         ("posed", {"settings": other}, "another settings"),
         ("bare", {}, "another source"),

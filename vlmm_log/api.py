@@ -67,9 +67,9 @@ def process(
     ``source`` is a path that some reader of ``readers.READERS`` knows, or a log of your own, opened.
     With ``rrd`` a Rerun recording is written beside and renamed once complete, with ``mcap`` an MCAP file of the same
     content (``mcap_schema`` "ros2" or "foxglove"), with ``map`` a map file (.json, .parquet, .ply); existing ones are
-    replaced only with ``force``. Each query is answered at every pair and over the whole map. Ctrl-C and SIGTERM end the
-    run early and keep the recordings; a map file is of whole runs only. ``workers`` above 1 are processes that look at
-    pairs side by side, with the same result to the bit; a script that asks for them does so below
+    replaced only with ``force``. Each query is answered at every pair and over the whole map. Ctrl-C and SIGTERM end
+    the run early and keep the recordings; a map file is of whole runs only. ``workers`` above 1 are processes that look
+    at pairs side by side, with the same result to the bit; a script that asks for them does so below
     ``if __name__ == "__main__":``, as they import it. With ``resume`` what each pair shows is kept in NAME.journal
     beside the first output until that is complete, and a run that finds one goes on where it ended, with the same
     result; sinks of your own cannot be given then. Raises InputError where the source, the settings, a query or an
