@@ -14,7 +14,7 @@ from pathlib import Path
 from vlmm_log.ask import Questions, parse
 from vlmm_log.maps import MAP_SUFFIXES, SavedMap, save_map
 from vlmm_log.models.load import load_models
-from vlmm_log.outputs import claim
+from vlmm_log.outputs import check_free, claim
 from vlmm_log.pipeline.run import expected_pairs
 from vlmm_log.protocols import Log, Progress, Sink
 from vlmm_log.queries import Answer
@@ -90,9 +90,7 @@ def process(
     outputs = [path for path in (target, mcap_target, map_target) if path is not None]
     journal_file = _journal_of(outputs, sinks) if resume else None
     claim(outputs, force=force, inputs=inputs, unfinished=journal_file is not None and journal_file.exists())
-    for path, suffix in ((target, ".rrd"), (mcap_target, ".mcap")):
-        if path is not None and path.suffix != suffix:  # what is called otherwise is read otherwise
-            raise InputError(f"{path}: a recording of this kind is called NAME{suffix}; name it so")
+    _check_recording_names(target, mcap_target)
     if workers < 1:
         raise InputError(f"workers = {workers}: give 1 or more")
     with ExitStack() as stack:
@@ -113,22 +111,14 @@ def process(
         try:
             end = watching.run(Many([summary, *sinks, *recorders]), told)
         except Exception as e:
-            for kept in (r.written for r in recordings if r.written):
-                e.add_note(
-                    f"what was written until then is kept as {kept}{' (--resume goes on from it)' if resume else ''}"
-                )
+            _note_kept(e, recordings, resume=resume)
             raise
         if not end.pairs and end.complete:
             raise InputError(f"{where}: no pair of frames could be processed{_why(summary)}")
         saved = SavedMap(watching.world.map, run, end, watching.origin_ns, watching.camera)
         written = [r.written for r in recordings if r.written]
         if map_target is not None and end.complete:
-            try:
-                save_map(map_target, saved, force=force)
-            except InputError as e:
-                for kept in written:
-                    e.add_note(f"the recording is whole: {kept}")
-                raise
+            _save_map(map_target, saved, written, force=force)
             written.append(map_target)
         if journal is not None and end.complete:
             journal.remove()
@@ -136,12 +126,29 @@ def process(
     return Processed(run, end, tuple(written), summary, saved, tuple(watching.answers()), resumed)
 
 
+def _note_kept(e: Exception, recordings: Sequence[Recording], *, resume: bool) -> None:
+    """Add to an error what it left of the run."""
+    for kept in (r.written for r in recordings if r.written):
+        e.add_note(f"what was written until then is kept as {kept}{' (--resume goes on from it)' if resume else ''}")
+
+
+def _save_map(path: Path, saved: SavedMap, written: Sequence[Path], *, force: bool) -> None:
+    try:
+        save_map(path, saved, force=force)
+    except InputError as e:
+        for kept in written:
+            e.add_note(f"the recording is whole: {kept}")
+        raise
+
+
 def _journal_of(outputs: Sequence[Path], sinks: Sequence[Sink]) -> Path:
     if not outputs:
         raise InputError("resume needs an output, beside which to keep what the pairs showed; name one")
     if sinks:
         raise InputError("resume: sinks of your own would not see the pairs of an earlier run; leave one of them out")
-    return journal_of(outputs[0])
+    journal = journal_of(outputs[0])
+    check_free(journal, force=True)
+    return journal
 
 
 def _recordings(rrd: Path | None, mcap: Path | None, mcap_schema: str, run: Run) -> list[Recording]:
@@ -162,6 +169,12 @@ def _check_schema(name: str) -> None:
         raise InputError(f"mcap_schema {name!r}: no such schemas; there are {', '.join(MCAP_SCHEMAS)}")
     if name == "foxglove" and find_spec("foxglove") is None:
         raise InputError("mcap_schema 'foxglove' needs foxglove-sdk: pip install 'vlmm-log[foxglove]'; or take ros2")
+
+
+def _check_recording_names(rrd: Path | None, mcap: Path | None) -> None:
+    for path, suffix in ((rrd, ".rrd"), (mcap, ".mcap")):
+        if path is not None and path.suffix != suffix:  # what is called otherwise is read otherwise
+            raise InputError(f"{path}: a recording of this kind is called NAME{suffix}; name it so")
 
 
 def _tell(progress: Progress, expected: int, done: int) -> None:

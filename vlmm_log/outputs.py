@@ -20,7 +20,7 @@ def replacing(*paths: Path, force: bool) -> Iterator[list[Path]]:
     partials = [path.with_name(path.name + ".partial") for path in paths]
     try:
         for path in (*paths, *partials):
-            _check_free(path, force)
+            check_free(path, force)
         try:
             paths[0].parent.mkdir(parents=True, exist_ok=True)
             yield partials
@@ -50,8 +50,8 @@ def claim(paths: Iterable[Path], *, force: bool, inputs: Iterable[Path] = (), un
             raise InputError(f"{str(path)!r}: names no file")
         partial = path.with_name(path.name + ".partial")
         try:
-            _check_free(path, force)
-            _check_free(partial, force or unfinished)
+            check_free(path, force)
+            check_free(partial, force or unfinished)
             where = {path.resolve(), partial.resolve()}
             there = next(parent for parent in path.resolve().parents if parent.exists())
         except OSError as e:
@@ -65,7 +65,8 @@ def claim(paths: Iterable[Path], *, force: bool, inputs: Iterable[Path] = (), un
         taken |= where
 
 
-def _check_free(path: Path, force: bool) -> None:
+def check_free(path: Path, force: bool) -> None:
+    """Raises InputError where a name is taken (without ``force``), or can be no file's."""
     if "\0" in str(path):
         raise InputError(f"{path!s}: is no name of a file")
     if path.exists() and not (path.is_file() or path.is_dir()):

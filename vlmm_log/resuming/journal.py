@@ -23,7 +23,7 @@ PRAGMA locking_mode = EXCLUSIVE;
 PRAGMA synchronous = OFF;
 BEGIN EXCLUSIVE;
 CREATE TABLE IF NOT EXISTS run (told TEXT NOT NULL);
-CREATE TABLE IF NOT EXISTS pairs (turn INTEGER PRIMARY KEY, pair INTEGER NOT NULL, kept INTEGER NOT NULL, looked BLOB);
+CREATE TABLE IF NOT EXISTS pairs (turn INTEGER PRIMARY KEY, pair TEXT NOT NULL, xxh3 TEXT NOT NULL, looked BLOB);
 COMMIT;
 """  # a killed process loses nothing that was committed; a machine without power may, and the digests tell
 
@@ -39,11 +39,11 @@ class Journal:
     def __init__(self, path: Path, run: Run, *, recorded: bool) -> None:
         self._path = path
         self.taken = 0  # pairs of an earlier run
-        self._empty = True
+        self._open = True
         told = {"version": VERSION, "source": run.source, "settings": run.settings, "libraries": run.versions}
         told["what is recorded"] = recorded
-        path.parent.mkdir(parents=True, exist_ok=True)
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             self._rows = sqlite3.connect(path, isolation_level=None)
             try:
                 self._rows.executescript(TABLES)
@@ -51,7 +51,7 @@ class Journal:
             except BaseException:
                 self._rows.close()
                 raise
-        except sqlite3.Error as e:
+        except (sqlite3.Error, OSError, ValueError) as e:
             remedy = "is another run at it? else remove it" if "locked" in str(e) else "remove it to start anew"
             raise InputError(f"{path}: cannot be used ({e}); {remedy}") from e
 
@@ -61,10 +61,9 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if not self._empty:
-            self._rows.close()
-        elif self._path.exists():
+        if self._open and not self._count():
             self.remove()
+        self._rows.close()
 
     def looks(
         self, others: Looks, stream: Iterator[FramePair | Skipped], make: Make
@@ -78,41 +77,46 @@ class Journal:
             while isinstance(item, Skipped):
                 yield item
                 item = next(stream, None)
-            if item is None or digest(item) != pair:
+            if item is None or _of_pair(item) != pair:
                 where = "it ends before" if item is None else f"other images or poses from frame {item.first.index} on"
                 raise InputError(f"{self._path}: of another log ({where}); remove it to start anew")
             self.taken += 1
-            self._empty = False
             yield item, looked
         turn = self.taken
         for of_pair in others(stream, make):
             if not isinstance(of_pair, Skipped):
                 self._keep(turn, *of_pair)
-                self._empty = False
                 turn += 1
             yield of_pair
 
     def remove(self) -> None:
         """Nothing is left to go on with."""
+        self._open = False
         self._rows.close()
         self._path.unlink(missing_ok=True)
 
-    def _known(self) -> Iterator[tuple[int, Looked]]:
+    def _known(self) -> Iterator[tuple[str, Looked]]:
         """Digest of each pair, and what it showed; up to what is damaged, which is looked at again."""
-        with self._disk():
-            turns = self._rows.execute("SELECT count(*) FROM pairs").fetchone()[0]
-        for turn in range(turns):
+        for turn in range(self._count()):
             with self._disk():
-                row = self._rows.execute("SELECT pair, kept, looked FROM pairs WHERE turn = ?", (turn,)).fetchone()
-            if row is None or _of_bytes(row[2]) != _unsigned(row[1]):
+                row = self._rows.execute("SELECT pair, xxh3, looked FROM pairs WHERE turn = ?", (turn,)).fetchone()
+            if row is None or not isinstance(row[2], bytes) or _of_bytes(row[2]) != row[1]:
                 return
-            yield _unsigned(row[0]), unpack(row[2])
+            try:
+                looked = unpack(row[2])
+            except ValueError:  # of another version of what is packed
+                return
+            yield row[0], looked
 
     def _keep(self, turn: int, pair: FramePair, looked: Looked) -> None:
         data = pack(looked)
-        row = (turn, _signed(digest(pair)), _signed(_of_bytes(data)), data)
         with self._disk():
+            row = (turn, _of_pair(pair), _of_bytes(data), data)
             self._rows.execute("INSERT OR REPLACE INTO pairs VALUES (?, ?, ?, ?)", row)
+
+    def _count(self) -> int:
+        with self._disk():
+            return int(self._rows.execute("SELECT count(*) FROM pairs").fetchone()[0])
 
     def _check(self, told: dict[str, object]) -> None:
         row = self._rows.execute("SELECT told FROM run").fetchone()
@@ -121,7 +125,7 @@ class Journal:
             return
         before = json.loads(row[0])
         for name, value in told.items():
-            if before.get(name) != value:
+            if not isinstance(before, dict) or before.get(name) != value:
                 raise InputError(f"{self._path}: kept by a run with another {name}; repeat that, or remove the file")
 
     @contextmanager
@@ -132,14 +136,9 @@ class Journal:
             raise InputError(f"{self._path}: cannot be used ({e}); is the disk full? else remove it") from e
 
 
-def _of_bytes(data: bytes) -> int:
-    return digest(np.frombuffer(data, np.uint8))
+def _of_pair(pair: FramePair) -> str:
+    return f"{digest(pair):016x}"
 
 
-def _signed(number: int) -> int:
-    """SQLite's integers have a sign."""
-    return number - (1 << 64) if number >= 1 << 63 else number
-
-
-def _unsigned(number: int) -> int:
-    return number + (1 << 64) if number < 0 else number
+def _of_bytes(data: bytes) -> str:
+    return f"{digest(np.frombuffer(data, np.uint8)):016x}"
