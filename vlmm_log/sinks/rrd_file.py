@@ -17,6 +17,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 PATIENCE_S = 60.0
+FOOTER = b"RRF2FOOT"  # starts the last twelve bytes of a whole recording
 PIPE = 1 << 20  # bytes that may wait for the disk
 
 
@@ -24,7 +25,7 @@ class RrdFile:
     """Takes all that a stream is given from now on. Raises OSError where there can be no such file."""
 
     def __init__(self, rec: rr.RecordingStream, path: Path, blueprint: rrb.Blueprint | None = None) -> None:
-        self._rec = rec
+        self._rec, self._path = rec, path
         self._failure: OSError | None = None
         self._file = path.open("wb", buffering=0)
         read, write = os.pipe()
@@ -35,6 +36,8 @@ class RrdFile:
         self._copier.start()
         try:
             rec.save(f"/dev/fd/{write}", default_blueprint=blueprint)
+        except RuntimeError as e:  # no such folder here, or too many files are open
+            raise OSError(f"{e}") from e
         finally:
             os.close(write)  # the stream has opened its own
 
@@ -60,6 +63,10 @@ class RrdFile:
         self.close()
         if self._failure is not None:
             raise self._failure
+        with self._path.open("rb") as file:
+            file.seek(-len(FOOTER) - 4, os.SEEK_END)
+            if not file.read().startswith(FOOTER):
+                raise OSError("its footer is missing")
 
     def close(self) -> None:
         """Let go of the file, whole or not."""
