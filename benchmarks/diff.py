@@ -11,19 +11,21 @@ import tempfile
 from pathlib import Path
 from statistics import median
 
-from benchmarks.data import SLICE, need
+from benchmarks.data import ROOT, SLICE, need
 
 STOP_S = 1.9  # of the slice: 58 pairs, 100 MB
 REPEATS = 3
 DIFF = """
-import resource, sys, time
+import sys, time
+from benchmarks.peak import peak_mib
 began = time.perf_counter()
 import vlmm_log
 done = vlmm_log.diff(sys.argv[1], sys.argv[2])
-print(time.perf_counter() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, int(done.same))
+print(time.perf_counter() - began, peak_mib(), int(done.same))
 """
 DECODE = """
-import resource, sys, time
+import sys, time
+from benchmarks.peak import peak_mib
 began = time.perf_counter()
 from pathlib import Path
 import cv2, numpy as np
@@ -35,7 +37,7 @@ for path in sys.argv[1:3]:
         match entry.value:
             case Picture(data, _) | DepthMap(EncodedImage(data, _), _):
                 cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-print(time.perf_counter() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
+print(time.perf_counter() - began, peak_mib(), 1)
 """
 
 
@@ -43,7 +45,9 @@ def measured(code: str, a: Path, b: Path) -> tuple[float, float, bool]:
     """Median seconds of processes of their own, imports included; the largest memory, MiB; whether all was the same."""
     runs = []
     for _ in range(REPEATS):
-        told = subprocess.run([sys.executable, "-c", code, a, b], capture_output=True, text=True, check=True).stdout
+        told = subprocess.run(
+            [sys.executable, "-c", code, a, b], capture_output=True, text=True, check=True, cwd=ROOT
+        ).stdout
         seconds, mib, same = told.split()
         runs.append((float(seconds), float(mib), bool(int(same))))
     return median(r[0] for r in runs), max(r[1] for r in runs), all(r[2] for r in runs)

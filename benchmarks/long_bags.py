@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.data import SLICE, need
+from benchmarks.data import ROOT, SLICE, need
 from vlmm_log.conversion import convert
 from vlmm_log.readers import open_log
 from vlmm_log.readers.folder import FolderLog
@@ -28,7 +28,8 @@ from vlmm_log.types import Skipped
 
 FRAME_MB = 640 * 480 * (3 + 4) / 1e6
 RUN = """
-import resource, sys, time
+import sys, time
+from benchmarks.peak import peak_mib
 t = time.perf_counter()
 from vlmm_log import Settings, open_log
 from vlmm_log.survey import info
@@ -42,7 +43,7 @@ else:
     log = open_log(path, Settings.load().read)
     window = (0, 2**61) if what == "all" else (10**9 * 12, 10**9 * 13)
     n = sum(isinstance(f, Frame) for f in log.frames(*window))
-print(n, time.perf_counter() - t, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+print(n, time.perf_counter() - t, peak_mib())
 """
 
 
@@ -86,7 +87,7 @@ class Repeated:
 def measured(what: str, path: Path) -> tuple[int, float, float]:
     """Frames, seconds and peak MiB of a process of its own."""
     command = [sys.executable, "-c", RUN, what, str(path)]
-    n, seconds, mib = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    n, seconds, mib = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout.split()
     return int(n), float(seconds), float(mib)
 
 

@@ -23,16 +23,17 @@ from vlmm_log.types import Frame, Skipped
 
 EARLY = 100  # pairs
 RUN = """
-import json, resource, sys
+import json, sys
 from pathlib import Path
 from benchmarks.memory import Repeated
+from benchmarks.peak import peak_mib
 from vlmm_log import process
 from vlmm_log.heap import keep_pages
 from vlmm_log.readers import open_log
 keep_pages()
 peaks = {}
 def told(done, expected):
-    peaks[done] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peaks[done] = peak_mib()
 source, times, out = sys.argv[1], int(sys.argv[2]), (sys.argv[3:] or [None])[0]
 process(Repeated(open_log(source), times), rrd=out, progress=told)
 size = Path(out).stat().st_size / 1e6 if out else 0.0
