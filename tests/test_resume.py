@@ -164,6 +164,15 @@ def test_another_database_is_refused(logs, tmp_path, edit):
         processed(logs / "posed", tmp_path, resume=True)
 
 
+def test_somebody_elses_database_is_left_as_it_is(logs, tmp_path):
+    edited(tmp_path / "theirs.db", "CREATE TABLE theirs (x)")
+    before = (tmp_path / "theirs.db").read_bytes()
+    (tmp_path / "a.rrd.journal").symlink_to(tmp_path / "theirs.db")
+    with pytest.raises(InputError, match="of no run"):
+        processed(logs / "posed", tmp_path, resume=True)
+    assert (tmp_path / "theirs.db").read_bytes() == before and (tmp_path / "a.rrd.journal").is_symlink()
+
+
 def edited(path, edit):
     rows = sqlite3.connect(path)
     rows.executescript(edit)

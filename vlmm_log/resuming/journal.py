@@ -18,14 +18,20 @@ from vlmm_log.types import FramePair, InputError, Run, Skipped
 from vlmm_log.workers.worker import Looked, Looks
 
 VERSION = 1
-TABLES = """
+OURS = int.from_bytes(b"VLMJ")  # SQLite's application id
+ALONE = """
 PRAGMA locking_mode = EXCLUSIVE;
 PRAGMA synchronous = OFF;
 BEGIN EXCLUSIVE;
-CREATE TABLE IF NOT EXISTS run (told TEXT NOT NULL);
-CREATE TABLE IF NOT EXISTS pairs (turn INTEGER PRIMARY KEY, pair TEXT NOT NULL, xxh3 TEXT NOT NULL, looked BLOB);
 COMMIT;
 """  # a killed process loses nothing that was committed; a machine without power may, and the digests tell
+TABLES = f"""
+BEGIN;
+PRAGMA application_id = {OURS};
+CREATE TABLE run (told TEXT NOT NULL);
+CREATE TABLE pairs (turn INTEGER PRIMARY KEY, pair TEXT NOT NULL, xxh3 TEXT NOT NULL, looked BLOB);
+COMMIT;
+"""
 
 
 def journal_of(output: Path) -> Path:
@@ -46,7 +52,8 @@ class Journal:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._rows = sqlite3.connect(path, isolation_level=None)
             try:
-                self._rows.executescript(TABLES)
+                self._rows.executescript(ALONE)
+                self._begin()
                 self._check(told)
             except BaseException:
                 self._rows.close()
@@ -117,6 +124,14 @@ class Journal:
     def _count(self) -> int:
         with self._disk():
             return int(self._rows.execute("SELECT count(*) FROM pairs").fetchone()[0])
+
+    def _begin(self) -> None:
+        """Make the tables of a new file. Raises InputError for a database of somebody else's, which stays as it is."""
+        tables = self._rows.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+        if not tables:
+            self._rows.executescript(TABLES)
+        elif self._rows.execute("PRAGMA application_id").fetchone()[0] != OURS:
+            raise InputError(f"{self._path}: a database, but of no run; name another output, or move it")
 
     def _check(self, told: dict[str, object]) -> None:
         row = self._rows.execute("SELECT told FROM run").fetchone()
