@@ -151,6 +151,7 @@ class Validity(IntEnum):
     OUT_OF_VIEW = 2  # the flow leaves the second image
     FB_INCONSISTENT = 3  # forward and backward flow disagree
     OCCLUDED = 4  # hidden in the second frame by something nearer
+    OUT_OF_RANGE = 5  # its noise or its residual is more, or less, than single precision can weigh
 
 
 @dataclass(frozen=True, eq=False)
