@@ -1,4 +1,4 @@
-"""The same bytes, whatever the machine around is set to: one room through every command, a setting changed at a time."""
+"""The same bytes, whatever the machine around is set to: one room through every command, one setting at a time."""
 
 import locale
 import os
@@ -121,9 +121,8 @@ def comma(folder):
         make = shutil.which("localedef")
     finally:
         locale.setlocale(locale.LC_NUMERIC, before)
-    made = make and subprocess.run(
-        [make, "-i", "de_DE", "-f", "UTF-8", folder / name], capture_output=True, check=False
-    )
+    command = [make, "-i", "de_DE", "-f", "UTF-8", folder / name]
+    made = make and subprocess.run(command, capture_output=True, check=False)
     if not made or made.returncode > 1 or not (folder / name).is_dir():
         pytest.skip(f"{name} is neither installed nor can it be made")
     return {"LC_ALL": name, "LOCPATH": str(folder)}
