@@ -39,7 +39,7 @@ from vlmm_log.query_tree import (
     Seen,
     Side,
 )
-from vlmm_log.recording import is_recording, open_recording
+from vlmm_log.recording import open_recording
 from vlmm_log.settings import Settings
 from vlmm_log.types import InputError
 
@@ -300,9 +300,13 @@ def test_secrets_of_urls_are_in_no_error(name, url, tmp_path):
 
 
 def held(folder):
-    """All bytes of all files below, and their names; of recordings the values, too, as they may be compressed."""
+    """All bytes of all files below, and their names; of recordings the values, too, as they are compressed."""
+    from rerun.chunk import RrdReader
+
     files = [p for p in folder.rglob("*") if p.is_file()]
-    values = [repr(list(r.entries(r.entities))) + repr(r.run) for r in map(open_recording, filter(is_recording, files))]
+    values = [repr([c.to_record_batch().to_pydict() for c in RrdReader(str(p)).stream()]) for p in folder.glob("*.rrd")]
+    read = [open_recording(p) for p in folder.glob("*.mcap")]
+    values += [repr((r.run, list(r.entries(r.entities)))) for r in read]
     return b"".join(p.read_bytes() + str(p).encode() for p in files) + "".join(values).encode()
 
 
@@ -313,19 +317,16 @@ def test_a_run_that_asks_an_endpoint_leaves_the_key_nowhere(tmp_path, caplog, mo
     write_masks(tmp_path / "masks", {k: (room_depth() < 2) for k in range(3)})
     (tmp_path / "masks/labels.txt").write_text("1 gizmo\n")
     moved = to_json(Query(AllOf(), text="x"))
-    with fake_endpoint(lambda asked: says(moved if "query" in asked.user else {"rho": 0.9, "echo": SECRET})) as fake:
+    with fake_endpoint(
+        lambda asked: says(moved if "query" in asked.user else {"movability": 0.9, "echo": SECRET})
+    ) as fake:
         sets = [f"objects.prior=llm:{fake.url}", f"query.parser=llm:{fake.url}", "keyframes.gap=1"]
         s = Settings.load(sets=[*sets, f"objects.segmenter=masks:{tmp_path / 'masks'}"])
         outputs = {name: tmp_path / f"a.{name}" for name in ("rrd", "mcap")}
         done = vlmm_log.process(OwnLog(own_frames()), settings=s, queries=["what"], map=tmp_path / "a.json", **outputs)
         other = vlmm_log.process(OwnLog(own_frames(4)), settings=s, rrd=tmp_path / "b.rrd")
-        vlmm_log.diff(
-            tmp_path / "a.rrd",
-            other.outputs[0],
-            html=tmp_path / "d.html",
-            json=tmp_path / "d.json",
-            rrd=tmp_path / "d.rrd",
-        )
+        told = {name: tmp_path / f"d.{name}" for name in ("html", "json", "rrd")}
+        vlmm_log.diff(tmp_path / "a.rrd", other.outputs[0], **told)
     assert {a.headers["Authorization"] for a in fake.asked} == {f"Bearer {SECRET}"}
     assert "movability endpoint" in done.run.versions and done.answers
     told = held(tmp_path)
