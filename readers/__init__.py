@@ -6,6 +6,7 @@ A reader is an object with ``name``, ``recognises(path)`` and ``open(path, setti
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 from vlmm_log.protocols import Log, Reader
 from vlmm_log.readers.bag.log import Bag
@@ -41,7 +42,7 @@ def opened(source: str | Path | Log, s: ReadSettings) -> tuple[Log, str]:
         path = Path(source)
         reader = recognise(path)
         return reader.open(path, s), reader.name
-    return Own(source), type(source).__name__
+    return cast(Log, Own(source)), type(source).__name__
 
 
 def open_log(path: str | Path, s: ReadSettings | None = None) -> Log:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,15 +21,11 @@ class Own:
     """The log, as it is; of its frames those that can be used, and why the others cannot."""
 
     log: Log
-    size: tuple[int, ...] | None = None  # (H, W) of the first frame
+    _size: tuple[int, ...] | None = None  # (H, W) of the first frame
 
-    def __post_init__(self) -> None:
-        self.name, self.has_poses = self.log.name, self.log.has_poses
-        self.world_up, self.notes = self.log.world_up, self.log.notes
-
-    def count(self, start_ns: int, stop_ns: int) -> int:
-        """See protocols.Log."""
-        return self.log.count(start_ns, stop_ns)
+    def __getattr__(self, name: str) -> Any:
+        """All else is the log's own: stored images, too, where it has them."""
+        return getattr(self.log, name)
 
     def frames(self, start_ns: int, stop_ns: int) -> Iterator[Frame | Skipped]:
         """See protocols.Log. Depth that is 0, negative or not finite is unseen, as in stored images."""
@@ -56,8 +53,8 @@ class Own:
             check_size(frame.depth.shape[0], frame.depth.shape[1], "frame's")
         except ImageError as e:
             return str(e)
-        self.size = self.size or frame.depth.shape
-        if frame.depth.shape != self.size:
+        self._size = self._size or frame.depth.shape
+        if frame.depth.shape != self._size:
             return "image size differs from the first frame's"
         return None if frame.K.shape == (3, 3) and is_camera(frame.K) else "K is of no pinhole camera"
 
