@@ -47,15 +47,20 @@ def refine_ego(matches: Matches, segments: Segments, s: EgoSettings, rng: np.ran
     """
     prior = matches.pair.relative_pose()
     grid = _Grid.gather(matches, s.stride)
+    unit = Fit(prior, np.zeros(6))
+    inverse = grid.inverse_covariances(unit)
+    weighable = np.asarray(np.isfinite(inverse).all(axis=0))  # not that of very far points, nor of a very odd camera
+    if not weighable.all():
+        grid, inverse = grid.of(weighable), inverse[:, weighable]
     if s.model == "off" or grid.count < s.min_matches:
         first, second = matches.pair.first.T_world_cam, matches.pair.second.T_world_cam
         off = s.model == "off" and first is not None and second is not None
         covariance = np.diag(np.repeat([s.pose_sigma_rad, s.pose_sigma_m], 3) ** 2.0)
         return Ego(prior, np.zeros(6), covariance, np.zeros(6), np.nan, np.nan, grid.count, off)
 
-    unit = Fit(prior, np.zeros(6))
     cut = s.inlier_sigma**2 if s.inlier == "sigma" else 1.0
-    inverse = grid.inverse_covariances(unit) if s.inlier == "sigma" else grid.isotropic(s.inlier_m)
+    if s.inlier == "metric":
+        inverse = grid.isotropic(s.inlier_m)
     weight = grid.balanced(segments, s.instance_share)
     fit = Fit(_consensus(grid, inverse, weight, prior, cut, s, rng), np.zeros(6))
     scale2 = 1.0
@@ -143,6 +148,12 @@ class _Grid:
         weight[0] = 1.0  # pixels of no instance
         return np.asarray(weight[label])
 
+    def of(self, kept: NDArray[np.bool_]) -> _Grid:
+        """Some of the matches."""
+        planes, rays, first, second = (a[:, kept] for a in (self.planes, self.rays, self.first, self.second))
+        row, column = self.row[kept], self.column[kept]
+        return _Grid(self.matches, planes, rays, row, column, self.image_rows, first, second)
+
     def rows(self, fit: Fit) -> Float32:
         key = self.image_rows.tobytes()
         if key not in fit.rows:
@@ -150,6 +161,7 @@ class _Grid:
         return fit.rows[key]
 
     def inverse_covariances(self, fit: Fit) -> Float32:
+        """(6, N) 1/m^2; NaN where single precision cannot weigh it."""
         out = np.empty((6, self.count), np.float32)
         x = self.matches.inputs
         kernels.inverse_covariances(self.planes, self.rays, self.row, self.rows(fit), x.camera, x.model, out)

@@ -11,6 +11,8 @@ from vlmm_log.compiled import jit
 from vlmm_log.types import Float32, Float64
 
 f32, f64 = np.float32, np.float64
+FAR = f32(2.0**100)  # d_M^2 of a match that single precision cannot weigh: no inlier, and its sums stay finite
+LOST = f32(-1)  # less is no rounding: an inverse that is not positive
 Int32 = NDArray[np.int32]
 
 
@@ -72,12 +74,12 @@ def msac(
             rz = z - (T[6, k] * a + T[7, k] * b + T[8, k] * c + T[11, k])
             q = rx * (xx * rx + f32(2) * (xy * ry + xz * rz))
             q += ry * (yy * ry + f32(2) * yz * rz) + zz * rz * rz
-            cost[k] += q if q < cut else cut
+            cost[k] += q if q > LOST and q < cut else cut
 
 
 @jit
 def whitened(first: Float32, second: Float32, inverse: Float32, row: Int32, rows: Float32, d2: Float32) -> None:
-    """d_M^2 of each match under the transforms ``rows`` (h, 12) of its image row."""
+    """d_M^2 of each match under the transforms ``rows`` (h, 12) of its image row; at most FAR."""
     for i in range(first.shape[1]):
         T = rows[row[i]]
         a, b, c = first[0, i], first[1, i], first[2, i]
@@ -85,7 +87,8 @@ def whitened(first: Float32, second: Float32, inverse: Float32, row: Int32, rows
         ry = second[1, i] - (T[3] * a + T[4] * b + T[5] * c + T[10])
         rz = second[2, i] - (T[6] * a + T[7] * b + T[8] * c + T[11])
         q = rx * (inverse[0, i] * rx + f32(2) * (inverse[1, i] * ry + inverse[2, i] * rz))
-        d2[i] = q + ry * (inverse[3, i] * ry + f32(2) * inverse[4, i] * rz) + inverse[5, i] * rz * rz
+        q = q + ry * (inverse[3, i] * ry + f32(2) * inverse[4, i] * rz) + inverse[5, i] * rz * rz
+        d2[i] = q if q > LOST and q <= FAR else FAR  # NaN too
 
 
 @jit

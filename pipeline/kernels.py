@@ -76,7 +76,8 @@ DM, BEHIND = 9 * BLOCK, 10 * BLOCK  # d_M; squared distance of match before pred
 MX, MY, MZ = 11 * BLOCK, 12 * BLOCK, 13 * BLOCK  # residual in the world, m
 PLANES = 14
 
-VALID, NO_DEPTH, OUT_OF_VIEW, FB_INCONSISTENT, OCCLUDED = 0, 1, 2, 3, 4  # types.Validity, as numba wants it
+VALID, NO_DEPTH, OUT_OF_VIEW, FB_INCONSISTENT, OCCLUDED, OUT_OF_RANGE = 0, 1, 2, 3, 4, 5  # types.Validity
+LEAST, MOST = f32(2.0**-126), f32((2 - 2.0**-23) * 2.0**127)  # normal float32: less has no digits left
 
 P_TABLE_SIZE = 8192
 P_TABLE_MAX = 48.0  # d_M^2 beyond it: p_stat below 3e-10, written as its last value
@@ -284,6 +285,9 @@ def measure(
                 for i in range(n):
                     if s[BEHIND + i] > f32(0) and (status[i] == VALID or status[i] == FB_INCONSISTENT):
                         status[i] = OCCLUDED
+            for i in range(n):
+                if status[i] == VALID and s[DM + i] != s[DM + i]:
+                    status[i] = OUT_OF_RANGE
             # one array a loop: each is then free to vectorise
             _masked(s, DM, status, d_m[v, u0 : u0 + n])
             _masked(s, MX, status, residual[0, v, u0 : u0 + n])
@@ -327,7 +331,8 @@ def score(s: Float32, n: int, u0: int, v: int, T: Any, lateral: Any, world: Any,
         det = sxx * axx + sxy * axy + sxz * axz
         quad = rx * (axx * rx + f32(2) * (axy * ry + axz * rz))
         quad += ry * (ayy * ry + f32(2) * ayz * rz) + azz * rz * rz
-        s[DM + i] = math.sqrt(max(quad / det, f32(0)))
+        weighed = det >= LEAST and det <= MOST and abs(quad) <= MOST
+        s[DM + i] = math.sqrt(max(quad / det, f32(0))) if weighed else f32(np.nan)
         nearer = max(-rz, f32(0))  # the match lies this far before its prediction
         s[BEHIND + i] = nearer * nearer - max(sigmas2 * szz, least2)
         # out of the shear, then into the world
@@ -402,6 +407,8 @@ def inverse_covariances(
 
     g (GATHERED, N) matches in the kernels' order of planes, rays (2, N) of camera a, row (N) index into rows (h, 12).
     """
+    if not row.size:
+        return
     last = row[0]
     T = transform(rows, last)
     lateral = lateral_of(T, camera, m)
@@ -415,7 +422,8 @@ def inverse_covariances(
         _, _, _, sxx, sxy, sxz, syy, syz, szz = sheared(match, rays[0, i], rays[1, i], T, lateral, m)
         axx, axy, axz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
         ayy, ayz, azz = sxx * szz - sxz * sxz, sxy * sxz - sxx * syz, sxx * syy - sxy * sxy
-        inv = f32(1) / (sxx * axx + sxy * axy + sxz * axz)
+        det = sxx * axx + sxy * axy + sxz * axz
+        inv = f32(1) / det if det >= LEAST and det <= MOST else f32(np.nan)
         # S^T A S
         bxz = axz - nx * axx - ny * axy
         byz = ayz - nx * axy - ny * ayy

@@ -6,10 +6,12 @@ A reader is an object with ``name``, ``recognises(path)`` and ``open(path, setti
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 from vlmm_log.protocols import Log, Reader
 from vlmm_log.readers.bag.log import Bag
 from vlmm_log.readers.bonn import Bonn
+from vlmm_log.readers.own import Own
 from vlmm_log.readers.plain import Icl, Plain
 from vlmm_log.readers.seven_scenes import SevenScenes
 from vlmm_log.readers.thor import Thor
@@ -40,7 +42,7 @@ def opened(source: str | Path | Log, s: ReadSettings) -> tuple[Log, str]:
         path = Path(source)
         reader = recognise(path)
         return reader.open(path, s), reader.name
-    return source, type(source).__name__
+    return cast(Log, Own(source)), type(source).__name__
 
 
 def open_log(path: str | Path, s: ReadSettings | None = None) -> Log:

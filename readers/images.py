@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlmm_log.readers.stored import StoredImage
-from vlmm_log.types import Float32, UInt8, UInt16
+from vlmm_log.types import Float32, Float64, UInt8, UInt16
 
 SMALLEST = 32  # px a side; dense optical flow needs some room
-ABOVE_0_M, FINITE_M = 2.0**-126, (2 - 2.0**-23) * 2.0**127  # the least and the greatest normal float32
+NEAREST_M, FARTHEST_M = 1e-9, 1e9  # beyond, single precision squares none: unseen
 
 
 class ImageError(Exception):
@@ -76,20 +76,21 @@ def decode_depth(image: StoredImage, units_per_meter: float, min_m: float, max_m
     values = depth_values(image)
     if values.dtype == np.uint16:
         return np.take(_depths(units_per_meter, min_m, max_m), values.view(np.uint16))
-    return _in_range(values, units_per_meter, min_m, max_m)
+    return in_range(values, units_per_meter, min_m, max_m)
 
 
 @lru_cache(maxsize=4)
 def _depths(units_per_meter: float, min_m: float, max_m: float) -> Float32:
     """What each 16-bit value means: a look-up is five times faster than division and comparison of an image."""
-    return _in_range(np.arange(1 << 16, dtype=np.uint16), units_per_meter, min_m, max_m)
+    return in_range(np.arange(1 << 16, dtype=np.uint16), units_per_meter, min_m, max_m)
 
 
-def _in_range(values: UInt16 | Float32, units_per_meter: float, min_m: float, max_m: float) -> Float32:
+def in_range(values: UInt16 | Float32 | Float64, units_per_meter: float, min_m: float, max_m: float) -> Float32:
+    """Stored depth as m; NaN for 0, for what is not finite and for what is out of range."""
     with np.errstate(all="ignore"):  # damaged floats overflow to infinity, which is out of range
         depth = np.divide(values, np.float32(units_per_meter), dtype=np.float32)
-        out = depth < np.float32(max(min_m, ABOVE_0_M))
-        out |= depth > np.float32(min(max_m, FINITE_M))
+        out = depth < np.float32(max(min_m, NEAREST_M))
+        out |= depth > np.float32(min(max_m, FARTHEST_M))
     np.copyto(depth, np.float32(np.nan), where=out)
     return depth
 

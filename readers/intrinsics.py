@@ -12,6 +12,7 @@ import numpy as np
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import Float64, InputError
 
+LEAST_PX, MOST_PX = 1e-9, 1e9  # of a focal length: its square, and a ray's, stay within single precision
 MODELS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}  # -> how many numbers
 
 
@@ -156,11 +157,21 @@ def _finite(text: str) -> float:
     return value
 
 
+def is_camera(K: Float64) -> bool:
+    """Whether a matrix (3, 3) is of a pinhole camera without skew that can be reckoned with."""
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    focal = LEAST_PX <= fx <= MOST_PX and LEAST_PX <= fy <= MOST_PX
+    rest = np.array_equal(K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])  # no where it holds NaN
+    return bool(focal and rest and max(abs(cx), abs(cy)) <= MOST_PX)
+
+
 def checked(camera: Intrinsics, where: str) -> Intrinsics:
     """The same camera. Raises InputError, which names ``where``, for what no camera can be."""
     numbers = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.depth_scale, *camera.distortion])
-    if not np.isfinite(numbers).all() or camera.fx <= 0 or camera.fy <= 0 or camera.depth_scale < 0:
-        raise InputError(f"{where}: focal lengths must be positive and all values finite")
+    if not np.isfinite(numbers).all() or not is_camera(camera.K) or camera.depth_scale < 0:
+        raise InputError(
+            f"{where}: focal lengths must be positive and all values finite, {LEAST_PX:g} to {MOST_PX:g} px"
+        )
     if camera.distortion and len(camera.distortion) not in MODELS.get(camera.model, ()):
         known = "; ".join(f"{name} takes {' or '.join(map(str, n))}" for name, n in MODELS.items())
         raise InputError(f"{where}: {len(camera.distortion)} distortion numbers for {camera.model!r}: {known}")

@@ -9,7 +9,7 @@ import numpy as np
 
 from vlmm_log import se3
 from vlmm_log.readers.numbered import words_of
-from vlmm_log.readers.poses import Trajectory, trajectory
+from vlmm_log.readers.poses import FARTHEST_M, TOO_FAR, Trajectory, trajectory
 from vlmm_log.types import Float64, InputError, Skipped
 
 ROTATION_TOLERANCE = 1e-2  # of R R^T from the identity: printed with few digits, yet a rotation
@@ -34,6 +34,8 @@ def pose_of_matrix(matrix: Float64) -> Float64 | str:
     """Position and quaternion x y z w (7,) of a pose (4, 4), its rotation the nearest one; or why it is none."""
     if not np.isfinite(matrix).all():
         return "pose is not finite"
+    if np.abs(matrix).max() > FARTHEST_M:
+        return TOO_FAR
     if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-4):
         return "pose's last row is not 0 0 0 1"
     R = matrix[:3, :3]

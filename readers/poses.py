@@ -15,7 +15,9 @@ from vlmm_log import se3
 from vlmm_log.readers.conventions import PLAIN, Convention
 from vlmm_log.types import Float64
 
+FARTHEST_M = 1e9  # from the world's origin: single precision still squares it
 NORM_TOLERANCE = 0.01  # a quaternion printed with four decimals is within 1e-4 of unit length
+TOO_FAR = f"pose holds more than {FARTHEST_M:g} m"
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +101,8 @@ def usable_pose(values: Float64) -> str | None:
     """Why a row of position and quaternion (7,) cannot be used; None if it can."""
     if not np.isfinite(values).all():
         return "pose is not finite"
+    if np.abs(values).max() > FARTHEST_M:
+        return TOO_FAR
     if abs(float(np.linalg.norm(values[3:])) - 1.0) > NORM_TOLERANCE:
         return "pose's quaternion is not of unit length"
     return None

@@ -10,8 +10,12 @@ from dataclasses import fields, replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from own_log import OwnLog, own_frames, room_depth
+from small_room import write_masks
 
+import vlmm_log
 from fake_endpoint import Reply, fake_endpoint, says
+from tum_folder import write_tum_folder
 from vlmm_log.models.endpoint import KEY, LARGEST, Cost, Endpoint, EndpointError, Patience
 from vlmm_log.models.llm_parser import EXAMPLES, FORM, PROMPT, LlmParser
 from vlmm_log.pipeline.language.parser import parse
@@ -35,6 +39,8 @@ from vlmm_log.query_tree import (
     Seen,
     Side,
 )
+from vlmm_log.recording import open_recording
+from vlmm_log.settings import Settings
 from vlmm_log.types import InputError
 
 SECRET = "sk-do-not-tell-1234"
@@ -261,6 +267,80 @@ def test_the_key_is_nowhere_to_be_seen(caplog):
         endpoint.ask("Be brief.", "Mug?")
     assert SECRET in fake.asked[0].headers["Authorization"]
     assert SECRET not in repr(endpoint) + str(endpoint) + repr(endpoint.cost) + caplog.text
+
+
+def test_what_an_endpoint_repeats_of_the_key_is_left_out():
+    with fake_endpoint(says(f"with {SECRET}: yes")) as fake:
+        assert ask(fake)[0] == "with [key]: yes"
+    with fake_endpoint(says({"filter": {"type": SECRET}})) as fake, pytest.raises(InputError) as e:
+        LlmParser(Endpoint(fake.url, "a-model", HURRIED))("a chair")
+    assert SECRET not in "".join(traceback.format_exception(e.value))
+    assert SECRET not in fake.asked[1].user
+
+
+def test_a_word_that_local_endpoints_take_for_a_key_is_left_in_answers(monkeypatch):
+    monkeypatch.setenv(KEY, "ollama")
+    with fake_endpoint(says("ollama says yes")) as fake:
+        assert ask(fake)[0] == "ollama says yes"
+
+
+WITH_SECRET = [f"llm:https://user:{SECRET}@host/v1", f"llm:https://host/v1?api_key={SECRET}", f"https://{SECRET}@host"]
+
+
+@pytest.mark.parametrize("url", [*WITH_SECRET, f"llm:https://host/v1#{SECRET}", f"LLM:http://u:p@{SECRET}@h:x/v1"])
+@pytest.mark.parametrize(
+    "name", ["objects.prior", "query.parser", "objects.priro", "flow.estimator", "objects.embedder"]
+)
+def test_secrets_of_urls_are_in_no_error(name, url, tmp_path):
+    with pytest.raises(InputError) as e:
+        s = Settings.load(sets=[f"{name}={url}"])
+        vlmm_log.process(OwnLog(own_frames()), settings=s, queries=["what moved"], rrd=tmp_path / "a.rrd")
+    assert SECRET not in "".join(traceback.format_exception_only(e.value))
+    assert not list(tmp_path.iterdir())
+
+
+def held(folder):
+    """All bytes of all files below, and their names; of recordings the values, too, as they are compressed."""
+    from rerun.chunk import RrdReader
+
+    files = [p for p in folder.rglob("*") if p.is_file()]
+    values = [repr([c.to_record_batch().to_pydict() for c in RrdReader(str(p)).stream()]) for p in folder.glob("*.rrd")]
+    read = [open_recording(p) for p in folder.glob("*.mcap")]
+    values += [repr((r.run, list(r.entries(r.entities)))) for r in read]
+    return b"".join(p.read_bytes() + str(p).encode() for p in files) + "".join(values).encode()
+
+
+def test_a_run_that_asks_an_endpoint_leaves_the_key_nowhere(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr("vlmm_log.models.prior.user_cache", lambda: tmp_path / "cache/features")
+    caplog.set_level(logging.DEBUG)
+    (tmp_path / "masks").mkdir()
+    write_masks(tmp_path / "masks", {k: (room_depth() < 2) for k in range(3)})
+    (tmp_path / "masks/labels.txt").write_text("1 gizmo\n")
+    moved = to_json(Query(AllOf(), text="x"))
+    with fake_endpoint(
+        lambda asked: says(moved if "query" in asked.user else {"movability": 0.9, "echo": SECRET})
+    ) as fake:
+        sets = [f"objects.prior=llm:{fake.url}", f"query.parser=llm:{fake.url}", "keyframes.gap=1"]
+        s = Settings.load(sets=[*sets, f"objects.segmenter=masks:{tmp_path / 'masks'}"])
+        outputs = {name: tmp_path / f"a.{name}" for name in ("rrd", "mcap")}
+        done = vlmm_log.process(OwnLog(own_frames()), settings=s, queries=["what"], map=tmp_path / "a.json", **outputs)
+        other = vlmm_log.process(OwnLog(own_frames(4)), settings=s, rrd=tmp_path / "b.rrd")
+        told = {name: tmp_path / f"d.{name}" for name in ("html", "json", "rrd")}
+        vlmm_log.diff(tmp_path / "a.rrd", other.outputs[0], **told)
+    assert {a.headers["Authorization"] for a in fake.asked} == {f"Bearer {SECRET}"}
+    assert "movability endpoint" in done.run.versions and done.answers
+    told = held(tmp_path)
+    assert fake.url.encode() in told and b"cache" in told
+    assert SECRET.encode() not in told and SECRET not in caplog.text + repr(done)
+
+
+def test_a_batch_writes_no_secret_of_a_url(tmp_path):
+    log = write_tum_folder(tmp_path / "logs/log", frames=5)
+    s = Settings.load(sets=[f"objects.prior={WITH_SECRET[0]}"])
+    done = vlmm_log.batch([log], tmp_path / "out", settings=s, workers=1)
+    assert [str(o.state) for o in done.outcomes] == ["failed"]
+    told = held(tmp_path)
+    assert b"the key comes from" in told and SECRET.encode() not in told
 
 
 # ---- the language model as the query parser

@@ -176,6 +176,7 @@ def test_a_printed_rotation_becomes_the_nearest_one(seed, error):
     ("bad", "reason"),
     [
         (np.full((4, 4), np.nan), "pose is not finite"),
+        (np.diag([1, 1, 1e200, 1]), "pose holds more than 1e+09 m"),
         (np.diag([2.0, 2, 2, 1]), "pose's rotation is not orthonormal"),
         (np.diag([1.0, -1, 1, 1]), "pose's rotation is a reflection: its camera or world is left-handed"),
         (np.ones((4, 4)), "pose's last row is not 0 0 0 1"),

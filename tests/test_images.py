@@ -193,9 +193,9 @@ def test_the_range_holds_its_ends_and_never_zero(a, b, units):
 @pytest.mark.parametrize("encoding", ["32FC1", "64FC1"])
 def test_what_is_no_depth_is_unseen_in_any_range(encoding):
     kind = np.float32 if encoding == "32FC1" else np.float64
-    odd = [np.nan, np.inf, -np.inf, 0, -0.0, -1, np.finfo(kind).max, 3]
+    odd = [np.nan, np.inf, -np.inf, 0, -0.0, -1, np.finfo(kind).max, 6e8, 1e-10, 3]
     depth = decode_depth(bare(np.tile(np.array(odd, kind), (32, 4)), encoding), 0.5, 0, np.inf)
-    assert np.array_equal(depth[0, :8], [np.nan] * 7 + [6], equal_nan=True)
+    assert np.array_equal(depth[0, :10], [np.nan] * 9 + [6], equal_nan=True)
 
 
 @pytest.mark.parametrize(

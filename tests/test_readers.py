@@ -126,6 +126,8 @@ def test_no_groundtruth_no_pose(tum_folder, groundtruth):
     [
         ("nan 0 0 0 0 0 1", "pose is not finite"),
         ("0 0 0 0 0 0 inf", "pose is not finite"),
+        ("0 -2e9 0 0 0 0 1", "pose holds more than 1e+09 m"),
+        ("0 0 0 0 0 0 1e200", "pose holds more than 1e+09 m"),
         ("0 0 0 0 0 0 1.1", "not of unit length"),
         ("0 0 0 0 0 0 0", "not of unit length"),
         ("0 0 0 0 0 1", "tx ty tz qx qy qz qw"),

@@ -6,6 +6,8 @@ import subprocess
 import sys
 import time
 import urllib.request
+from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -28,7 +30,7 @@ def test_one_recording_is_opened_as_it_is(recordings, tmp_path):
     path = recordings[0]
     viewed = prepare([path], tmp_path, web=False)
     assert (viewed.file, viewed.told) == (path, ())
-    assert viewed.command[1:] == (str(path),)
+    assert viewed.command[1:] == (str(path), "--bind", "127.0.0.1")
 
 
 def test_an_mcap_is_shown_as_the_recording_that_it_could_have_been(recordings, tmp_path):
@@ -73,29 +75,75 @@ def test_what_is_no_recording_is_refused(tmp_path):
             prepare([tmp_path / name], tmp_path, web=False)
 
 
-def test_the_page_is_served_on_loopback(recordings):
-    with socket.socket() as s:
+def free_port():
+    """One whose follower is free, too."""
+    with socket.socket() as s, socket.socket() as beside:
         s.bind(("127.0.0.1", 0))
         port = s.getsockname()[1]
+        beside.bind(("127.0.0.1", port + 1))
+    return port
+
+
+def listening(pid):
+    """(address, port) of the listening sockets of a process: of IPv4 and IPv6."""
+    held = {str(link.readlink()) for link in Path(f"/proc/{pid}/fd").iterdir()}
+    tables = [Path(f"/proc/{pid}/net/{name}").read_text().splitlines()[1:] for name in ("tcp", "tcp6")]
+    rows = [row.split() for row in chain(*tables)]
+    own = [row[1].split(":") for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in held]
+    return {(address, int(port, 16)) for address, port in own}
+
+
+LOOPBACK = "0100007F"  # 127.0.0.1 as /proc/net/tcp writes it
+on_linux = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="no /proc/net/tcp to see sockets in")
+
+
+@on_linux
+def test_a_viewer_window_listens_on_loopback_alone(recordings, tmp_path):
+    port = free_port()
+    command = [*prepare(recordings[:1], tmp_path, web=False).command, "--headless", "--port", str(port)]
+    with open_viewer(command) as viewer:
+        assert eventually(lambda: listening(viewer.pid)) == {(LOOPBACK, port)}
+
+
+@contextmanager
+def open_viewer(command):
+    viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield viewer
+    finally:
+        viewer.terminate()
+        viewer.wait(timeout=20)
+
+
+def eventually(ask, timeout_s=60):
+    """The first answer that is not empty."""
+    deadline = time.monotonic() + timeout_s
+    while not (answer := ask()) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    return answer
+
+
+def page_at(port):
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=5) as answer:
+            return answer.read()
+    except OSError:
+        return b""
+
+
+def test_the_page_is_served_on_loopback(recordings):
+    port = free_port()
     command = [sys.executable, "-c", "from vlmm_log.cli import main; main()"]
     serving = subprocess.Popen([*command, "view", recordings[0], "--web", "--port", str(port)], stderr=subprocess.PIPE)
     try:
-        page = b""
-        deadline = time.monotonic() + 60
-        while not page and time.monotonic() < deadline:
-            try:
-                with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=5) as answer:
-                    page = answer.read()
-            except OSError:
-                time.sleep(0.5)
-        assert b"rerun" in page.lower()
-        sockets = Path("/proc/net/tcp")
-        if sockets.exists():
-            rows = [line.split() for line in sockets.read_text().splitlines()[1:]]
-            own = [row[1] for row in rows if row[3] == "0A" and int(row[1].split(":")[1], 16) in (port, port + 1)]
-            assert own and all(address.startswith("0100007F") for address in own), own
+        assert b"rerun" in eventually(lambda: page_at(port)).lower()
+        if Path("/proc/net/tcp").exists():
+            (viewer,) = Path(f"/proc/{serving.pid}/task/{serving.pid}/children").read_text().split()
+            assert listening(viewer) == {(LOOPBACK, port), (LOOPBACK, port + 1)}, "the page and its data, no more"
+            assert not listening(serving.pid)
     finally:
         serving.send_signal(signal.SIGTERM)
         assert serving.wait(timeout=20) == 0
-    with socket.socket() as s:
-        assert s.connect_ex(("127.0.0.1", port)), "the viewer ended, too"
+    for own in (port, port + 1):
+        with socket.socket() as s:
+            assert s.connect_ex(("127.0.0.1", own)), "the viewer ended, too"

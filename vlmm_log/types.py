@@ -8,6 +8,7 @@ of a pair lie on the pixel grid of its first frame. Arrays inside these types ar
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -28,10 +29,12 @@ CHI2_3_MEDIAN = 2.3659738843753377
 
 
 class InputError(Exception):
-    """The call or its input cannot be used. The message is one line: what, where, remedy."""
+    """The call or its input cannot be used. The message is one line: what, where, remedy; without secrets of URLs."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.splitlines()))  # a path or a value may hold line breaks
+        line = " ".join(message.splitlines())  # a path or a value may hold line breaks
+        line = re.sub(r"://\S*@", "://[...]@", line)  # user and password
+        super().__init__(re.sub(r"(://[^\s?#]*[?#])\S*", r"\1[...]", line))
 
 
 def freeze(record: object) -> None:
@@ -151,6 +154,7 @@ class Validity(IntEnum):
     OUT_OF_VIEW = 2  # the flow leaves the second image
     FB_INCONSISTENT = 3  # forward and backward flow disagree
     OCCLUDED = 4  # hidden in the second frame by something nearer
+    OUT_OF_RANGE = 5  # its noise or its residual is more, or less, than single precision can weigh
 
 
 @dataclass(frozen=True, eq=False)

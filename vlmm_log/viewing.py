@@ -15,6 +15,7 @@ from vlmm_log.recording import Recording, is_mcap, is_recording, open_recording
 from vlmm_log.types import InputError, RunEnd
 
 WEB_PORT, GRPC_PORT = 9090, 9876
+LOOPBACK = "127.0.0.1"  # the viewer itself would listen on every interface, without --web too
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Viewed:
 def prepare(files: Sequence[Path], folder: Path, *, web: bool, port: int = WEB_PORT) -> Viewed:
     """The command that shows one recording, or two side by side, merged into ``folder``.
 
-    A viewer for a browser is served on loopback alone. Raises InputError where a file is no recording.
+    Any viewer takes connections, from this machine alone here. Raises InputError where a file is no recording.
     """
     for path in files:
         if not path.is_file() or not is_recording(path):
@@ -52,8 +53,8 @@ def prepare(files: Sequence[Path], folder: Path, *, web: bool, port: int = WEB_P
         ".partial"
     ):  # the viewer goes by the name, and reads no torn end
         shown = Path(shutil.copy(opened[0].file, folder / shown.name.removesuffix(".partial")))
-    served = ("--web-viewer", "--bind", "127.0.0.1", "--web-viewer-port", str(port), "--port", str(_beside(port)))
-    command = (str(_viewer()), str(shown), *(served if web else ()))
+    served = ("--web-viewer", "--web-viewer-port", str(port), "--port", str(_beside(port))) if web else ()
+    command = (str(_viewer()), str(shown), "--bind", LOOPBACK, *served)
     return Viewed(shown, tuple(told), command)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from vlmm_log.comparison.difference import Difference
 from vlmm_log.comparison.words import HISTORY
 from vlmm_log.entries import Scalar
-from vlmm_log.pages.charts import BLUE, VERMILION, figure, svg
+from vlmm_log.pages.charts import BLUE, VERMILION, figure, plain, svg
 from vlmm_log.recording import Recording
 
 CURVES = ("flagged_share", "median_d_m", "inlier_share", "valid_share")
@@ -38,7 +38,7 @@ def where_and_when(d: Difference) -> str | None:
     axes = drawn.subplots()
     edges = (span[0] - 0.5, span[-1] + 0.5, len(shown) - 0.5, -0.5)
     image = axes.imshow(shares, aspect="auto", extent=edges, cmap="magma_r", vmin=0, vmax=1, interpolation="nearest")
-    names = [e.entity.replace("world/camera/image/", "").replace("world/", "") for e in shown]
+    names = [plain(e.entity.replace("world/camera/image/", "").replace("world/", "")) for e in shown]
     axes.set_yticks(range(len(shown)), names, fontsize=8)
     axes.set_xlabel("frame", fontsize=8)
     axes.tick_params(axis="x", labelsize=8)

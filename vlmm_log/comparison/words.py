@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from vlmm_log.comparison.difference import Difference, Divergence, ElementChange, EntityDifference, Figures, Place
+from vlmm_log.sinks.markdown import plain
 
 STAGES = {  # what a stage does, for those who do not know its name
     "input": "what was read and paired",
@@ -139,23 +140,19 @@ def figure_words(n: Figures) -> str:
 
 def markdown(d: Difference) -> str:
     """The summary and all settings as Markdown."""
-    lines = [f"# {_escaped(d.a)} | {_escaped(d.b)}", ""]
-    lines += [f"- {_escaped(line)}" for line in summary(d)]
+    lines = [f"# {plain(d.a)} | {plain(d.b)}", ""]
+    lines += [f"- {plain(line)}" for line in summary(d)]
     if d.settings:
         lines += ["", "| setting | A | B |", "|---|---|---|"]
-        lines += [f"| {c.name} | {_escaped(str(c.a))} | {_escaped(str(c.b))} |" for c in d.settings]
+        lines += [f"| {plain(c.name)} | {plain(str(c.a))} | {plain(str(c.b))} |" for c in d.settings]
     if d.entities:
         lines += ["", "| entity | differs in | worst |", "|---|---|---|"]
         for name, group in grouped(d.entities):
             worst = group[0].worst
             where = place_words(worst.at) if worst is not None else ""
             count = sum(len(e.frames) for e in group)
-            lines.append(f"| {_escaped(name)} | {count} | {where} |")
+            lines.append(f"| {plain(name)} | {count} | {where} |")
     return "\n".join(lines) + "\n"
-
-
-def _escaped(text: str) -> str:
-    return re.sub(r"([\\`*_{}\[\]<>|#])", r"\\\1", text)
 
 
 def _cut(value: object, most: int = 16) -> str:

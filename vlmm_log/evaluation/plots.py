@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from vlmm_log.evaluation.results import CalibrationRow, PixelRow
-from vlmm_log.pages.charts import BLUE, GREEN, ORANGE, VERMILION, figure, svg
+from vlmm_log.pages.charts import BLUE, GREEN, ORANGE, VERMILION, figure, plain, svg
 
 COLORS = (VERMILION, BLUE, GREEN, ORANGE)
 
@@ -27,7 +27,7 @@ def ap_bars(rows: Sequence[PixelRow]) -> str | None:
     colors = [BLUE if r.score == "d_M" else "#b8c4d0" for r in shown]
     axes.barh(at, ap, xerr=error, color=colors, height=0.72, error_kw={"elinewidth": 1, "ecolor": "#1c2733"})
     axes.axvline(shown[0].prevalence, color=VERMILION, linewidth=1, linestyle="--")
-    axes.set_yticks(at, [f"{r.trial}, {r.score}" for r in shown], fontsize=8)
+    axes.set_yticks(at, [plain(f"{r.trial}, {r.score}") for r in shown], fontsize=8)
     axes.invert_yaxis()
     axes.set_xlim(0, 1)
     axes.set_xlabel("full-frame average precision, 95 % interval over frames; dashed: prevalence", fontsize=8)
@@ -48,7 +48,7 @@ def reliability(rows: Sequence[CalibrationRow]) -> str | None:
         axes.plot([0, 1], [0, 1], color="#b8c4d0", linewidth=1)
         axes.plot(c, f, color=BLUE, linewidth=1)
         axes.scatter(c, f, s=12 + 160 * np.sqrt(w), color=BLUE, alpha=0.55, linewidths=0)
-        axes.set_title(f"{row.name}\n{row.unit}, ECE {row.ece:.3f}", fontsize=8)
+        axes.set_title(f"{plain(row.name)}\n{row.unit}, ECE {row.ece:.3f}", fontsize=8)
         axes.set_xlim(-0.03, 1.03)
         axes.set_ylim(-0.03, 1.03)
         axes.tick_params(labelsize=7)

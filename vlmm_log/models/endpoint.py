@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 KEY = "VLMM_LOG_API_KEY"
 LARGEST = 1 << 20  # bytes of an answer; a chat completion of this use has about a thousand
+SECRET = 12  # characters; local endpoints take words like "ollama" for a key
 RETRIED = (429, 500, 502, 503, 504)
 REMEDIES = {
     401: f"check {KEY}",
@@ -111,8 +112,13 @@ class Endpoint:
         self.cost += _tokens(completion)
         match completion:
             case {"choices": [{"message": {"content": str(content)}}, *_]}:
-                return content
+                return self._without_key(content)
         raise self._error("its answer is no chat completion")
+
+    def _without_key(self, content: str) -> str:
+        """The answer: what an endpoint repeats of the key would be told and recorded with it."""
+        _, _, key = self._headers.get("Authorization", "").partition(" ")
+        return content.replace(key, "[key]") if len(key) >= SECRET else content
 
     def _post(self, body: bytes) -> bytes:
         """The body of the first answer with status 200; what may pass is tried again."""

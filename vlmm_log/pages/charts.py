@@ -19,6 +19,11 @@ def figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def plain(text: str) -> str:
+    """A label that reads as the text: what stands between dollar signs is no formula."""
+    return text.replace("$", r"\$")
+
+
 def svg(drawn: Figure) -> str:
     """The figure as an SVG element."""
     import matplotlib

@@ -27,6 +27,7 @@ P_MOVING_STEP = 2.0**-10  # most pixels are unlikely to move
 NORM_STEP = 2.0**-13  # m
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 MOVED = (230, 159, 0)
+MOST_MM = 65535
 
 Named = tuple[str, Value]
 """An entity and its value."""
@@ -50,9 +51,16 @@ def of_images(frame: Frame) -> Iterator[Named]:
     else:
         yield f"{IMAGE}/rgb", Picture(rgb.data, rgb.media_type)
     if depth is None:
-        yield f"{IMAGE}/depth", DepthMap(np.nan_to_num(frame.depth * np.float32(1e3)).astype(np.uint16), 1e3)
+        yield f"{IMAGE}/depth", _depth(frame.depth)
     else:
         yield f"{IMAGE}/depth", DepthMap(depth, depth.units_per_meter)
+
+
+def _depth(depth: Float32) -> DepthMap:
+    """In whole millimetres; as it is where 16 bits do not hold them."""
+    if np.nanmax(depth, initial=0.0) > MOST_MM / 1e3:
+        return DepthMap(depth, 1.0)
+    return DepthMap(np.nan_to_num(depth * np.float32(1e3)).astype(np.uint16), 1e3)
 
 
 def of_flow(flow: FlowField, *, dense: bool) -> Iterator[Named]:
@@ -100,8 +108,8 @@ def of_motion(pair: FramePair, motion: Motion, *, dense: bool) -> Iterator[Named
         yield f"{path}/p_stat", Raster(views.half(motion.p_stat[::4, ::4]))
         yield f"{path}/norm", _steps(motion.norm[::2, ::2], NORM_STEP)
         yield f"{path}/sigma_z", Raster(views.half(thin.sigma_z))
-        cm2 = thin.upper[:, ::2, ::2] * 1e4  # metres squared underflow half precision
-        yield f"{path}/covariance", Raster(views.half(cm2), COVARIANCE)
+        cm2 = views.half(thin.upper[:, ::2, ::2], 1e4)  # metres squared underflow half precision
+        yield f"{path}/covariance", Raster(cm2, COVARIANCE)
     yield VECTORS, Arrows(*views.moved_arrows(motion, pair.first, pair.second), color=MOVED)
 
 

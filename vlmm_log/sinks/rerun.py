@@ -10,6 +10,7 @@ import rerun as rr
 
 from vlmm_log.entries import Entry
 from vlmm_log.sinks.blueprint import CALIBRATED, default_blueprint
+from vlmm_log.sinks.markdown import plain
 from vlmm_log.sinks.rerun_values import RerunValues
 from vlmm_log.sinks.rrd_file import RrdFile
 from vlmm_log.types import Run, RunEnd
@@ -85,6 +86,6 @@ class RerunFile:
 
 def document(run: Run) -> rr.TextDocument:
     """Versions, notes and settings, to read in the viewer."""
-    versions = ", ".join(f"{name} {version}" for name, version in run.versions.items())
-    text = f"# {run.source}\n\n{versions}\n\n" + "".join(f"- {n}\n" for n in run.notes)
+    versions = plain(", ".join(f"{name} {version}" for name, version in run.versions.items()))
+    text = f"# {plain(run.source)}\n\n{versions}\n\n" + "".join(f"- {plain(n)}\n" for n in run.notes)
     return rr.TextDocument(f"{text}\n```toml\n{run.settings}```\n", media_type="text/markdown")

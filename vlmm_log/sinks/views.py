@@ -14,6 +14,7 @@ VALIDITY_COLORS: dict[Validity, tuple[int, int, int]] = {  # told apart also by 
     Validity.OUT_OF_VIEW: (204, 121, 167),
     Validity.FB_INCONSISTENT: (230, 159, 0),
     Validity.OCCLUDED: (240, 228, 66),
+    Validity.OUT_OF_RANGE: (213, 94, 0),
 }
 
 
@@ -32,9 +33,10 @@ OUTCOME_COLORS: dict[Outcome, tuple[int, int, int]] = {
 }
 
 
-def half(values: NDArray[np.floating]) -> NDArray[np.float16]:
-    """Half precision, clipped to what it can hold."""
-    return np.asarray(np.clip(np.ascontiguousarray(values), -65504.0, 65504.0), np.float16)
+def half(values: NDArray[np.floating], factor: float = 1.0) -> NDArray[np.float16]:
+    """``factor`` times the values in half precision, clipped to what it can hold."""
+    most = 65504.0 / factor
+    return np.asarray(np.clip(np.ascontiguousarray(values), -most, most) * factor, np.float16)
 
 
 def flow_color(flow: Float32) -> UInt8:
