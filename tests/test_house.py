@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 GROUND = {"types", "background", "elements", "query_tree", "queries", "entries", "depth_pixels", "se3", "settings"}
-GROUND |= {"protocols", "calibration", "cache", "compiled", "rvl"}
+GROUND |= {"protocols", "calibration", "cache", "compiled", "rvl", "image_files"}
 ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/types.py": set(),
     "vlmm_log/version.py": set(),
@@ -32,7 +32,8 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/simulation": GROUND | {"simulation"},
     "vlmm_log/checks": GROUND | {"checks", "readers", "pipeline", "models"},
     "vlmm_log/sinks": GROUND | {"sinks", "ros"},
-    "vlmm_log/depth_pixels.py": {"types", "entries"},
+    "vlmm_log/depth_pixels.py": {"types", "entries", "image_files"},
+    "vlmm_log/image_files.py": set(),
     "vlmm_log/recording": GROUND | {"recording", "readers", "pipeline", "maps"},
     "vlmm_log/pages": {"pages", "types"},
     "vlmm_log/comparison": GROUND | {"comparison", "pages", "recording", "sinks", "version"},

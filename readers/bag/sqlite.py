@@ -39,18 +39,25 @@ def open_sqlite(path: Path) -> SqliteBag:
 
 def _channels(db: sqlite3.Connection) -> dict[int, Channel]:
     """Topics by their id, with the definitions that newer bags hold."""
-    tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    listed = db.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND sql LIKE 'CREATE TABLE%'")
+    tables = {name for (name,) in listed}  # a view could be called so, and compute for ever
     if not {"topics", "messages"} <= tables:
         raise sqlite3.DatabaseError("it has no tables 'topics' and 'messages'")
     definitions: dict[str, tuple[str, bytes]] = {}
     if "message_definitions" in tables:
-        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
-        for name, language, text in db.execute(query):
-            definitions.setdefault(name, (language or "", (text or "").encode()))  # NULL in a damaged file
+        columns = _texts("topic_type", "encoding", "encoded_message_definition")
+        for name, language, text in db.execute(f"SELECT {columns} FROM message_definitions ORDER BY id"):  # noqa: S608
+            definitions.setdefault(name, (language, text.encode()))
     found = {}
-    for key, name, type_, encoding in db.execute("SELECT id, name, type, serialization_format FROM topics"):
-        found[int(key)] = channel(name, type_, encoding, *definitions.get(type_, ("", b"")))
+    columns = _texts("name", "type", "serialization_format")
+    for key, name, type_, encoding in db.execute(f"SELECT id, {columns} FROM topics WHERE typeof(id) = 'integer'"):  # noqa: S608
+        found[key] = channel(name, type_, encoding, *definitions.get(type_, ("", b"")))
     return found
+
+
+def _texts(*columns: str) -> str:
+    """Columns as texts, whatever a damaged file holds in them."""
+    return ", ".join(f"ifnull(CAST({name} AS TEXT), '')" for name in columns)
 
 
 @dataclass(eq=False)

@@ -16,6 +16,8 @@ from vlmm_log.types import InputError, Int64, Skipped
 
 _LIST = "SELECT id, topic_id, timestamp FROM messages WHERE id > ? ORDER BY id"
 _PROBE = "SELECT id FROM messages WHERE id > ? ORDER BY id LIMIT 1"
+OUR_FUNCTIONS = ("count", "ifnull", "like", "typeof")
+LAST_ROW = 2**63 - 1
 FARTHEST = 1 << 40  # rows; no bag has as many
 
 
@@ -95,9 +97,18 @@ def _connected(path: Path, how: str) -> sqlite3.Connection | None:
     with suppress(sqlite3.DatabaseError):
         db.execute("PRAGMA writable_schema = ON")  # without it, a file that is cut off is refused as a whole
         db.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        db.set_authorizer(_allowed)
         return db
     db.close()
     return None
+
+
+def _allowed(action: int, _: str | None, function: str | None, *__: str | None) -> int:
+    """A schema may compute: recursion without an end, functions that make gigabytes. Ours asks for none of it."""
+    computes = action == sqlite3.SQLITE_RECURSIVE or (
+        action == sqlite3.SQLITE_FUNCTION and function not in OUR_FUNCTIONS
+    )
+    return sqlite3.SQLITE_DENY if computes else sqlite3.SQLITE_OK
 
 
 def rows_of(db: sqlite3.Connection) -> Rows:
@@ -138,7 +149,9 @@ def _blocks(db: sqlite3.Connection, after: int) -> Iterator[Int64]:
     block: list[tuple[int, int, int]] = []
     try:
         for row in db.execute(_LIST, (after,)):
-            block.append(tuple(int(value) for value in row))  # type: ignore[arg-type]
+            if not all(type(value) is int for value in row):  # in a damaged file
+                raise TypeError
+            block.append(row)
             if len(block) == 65536:
                 yield np.array(block, np.int64)
                 block = []
@@ -152,6 +165,8 @@ def _behind(db: sqlite3.Connection, after: int) -> int | None:
     """The smallest id behind damage from which listing works again; None where nothing follows."""
 
     def works(row: int) -> bool:
+        if row > LAST_ROW:
+            return False
         try:
             return db.execute(_PROBE, (row,)).fetchone() is not None
         except sqlite3.DatabaseError:

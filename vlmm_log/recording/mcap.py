@@ -12,10 +12,10 @@ from typing import BinaryIO, NamedTuple
 from mcap.records import Channel, Metadata, Schema
 
 from vlmm_log.entries import Entry
-from vlmm_log.readers.bag.chunked import ChunkError, Record
+from vlmm_log.readers.bag.chunked import ChunkError, Record, read_at
 from vlmm_log.readers.bag.containers import MessageError
 from vlmm_log.readers.bag.mcap_index import McapIndex, from_summary, top_records
-from vlmm_log.readers.bag.mcap_records import MAGIC, contents, messages, parsed, read_at, uncompressed
+from vlmm_log.readers.bag.mcap_records import MAGIC, contents, messages, parsed, uncompressed
 from vlmm_log.readers.bag.schemas import Decoder, decoder, type_name
 from vlmm_log.readers.bag.schemas import Schema as Described
 from vlmm_log.recording.mcap_values import Parts, parts_with, value
