@@ -21,6 +21,7 @@ from vlmm_log.settings import ObjectSettings
 from vlmm_log.types import Float32, Float64, Frame, InputError, Int64, Segments, UInt8
 
 DYNAMIC_SIDE = 640  # px, longer side where the network takes any size: what these networks are trained at
+LARGEST_SIDE = 4096  # px of an input: what a file states is reserved
 DYNAMIC_STEP = 32  # px, their coarsest stride
 PADDING = 114  # grey of the letterbox, as in training
 MOST = 300  # detections kept of a frame, as Ultralytics keeps
@@ -59,6 +60,8 @@ class Yolo:
         self._input = self._session.get_inputs()[0]
         if self._input.type not in KINDS or len(self._input.shape) != 4:
             raise _no_segmenter(path, f"its input is {self._input.type} {self._input.shape}")
+        if not all(0 < n <= LARGEST_SIDE for n in self._input.shape[2:] if isinstance(n, int)):
+            raise _no_segmenter(path, f"its input is of {self._input.shape} px")
         self.names = class_names(self._session.get_modelmeta().custom_metadata_map.get("names", ""), path, s)
         self._detect(np.zeros((480, 640, 3), np.uint8))
 
@@ -149,6 +152,8 @@ def decoded(outputs: Sequence[Float32], classes: int, s: ObjectSettings) -> tupl
         found = _dense(rows.T, classes, s)
     else:
         raise ValueError(f"its outputs {_shapes(outputs)} do not fit {classes} class names")
+    if not (np.isfinite(found.boxes).all() and np.isfinite(found.scores).all()):
+        raise ValueError("it finds boxes that are no numbers")
     if found.classes.size and not 0 <= found.classes.min() <= found.classes.max() < classes:
         raise ValueError(f"it finds class {found.classes.max()}, and there are {classes} class names")
     return found, prototypes
