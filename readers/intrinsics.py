@@ -162,8 +162,9 @@ def checked(camera: Intrinsics, where: str) -> Intrinsics:
     numbers = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.depth_scale, *camera.distortion])
     if not np.isfinite(numbers).all() or camera.fx <= 0 or camera.fy <= 0 or camera.depth_scale < 0:
         raise InputError(f"{where}: focal lengths must be positive and all values finite")
-    if min(camera.width, camera.height) < 0 or camera.width * camera.height > LARGEST:
-        raise InputError(f"{where}: no image is {camera.width:.6g}x{camera.height:.6g} px; correct width and height")
+    w, h = camera.width, camera.height
+    if min(w, h) < 0 or max(w, h, w * h) > LARGEST:
+        raise InputError(f"{where}: no image is {w:.6g}x{h:.6g} px; correct width and height")
     if camera.distortion and len(camera.distortion) not in MODELS.get(camera.model, ()):
         known = "; ".join(f"{name} takes {' or '.join(map(str, n))}" for name, n in MODELS.items())
         raise InputError(f"{where}: {len(camera.distortion)} distortion numbers for {camera.model!r}: {known}")

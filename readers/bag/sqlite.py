@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -39,8 +40,8 @@ def open_sqlite(path: Path) -> SqliteBag:
 
 def _channels(db: sqlite3.Connection) -> dict[int, Channel]:
     """Topics by their id, with the definitions that newer bags hold."""
-    listed = db.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND sql LIKE 'CREATE TABLE%'")
-    tables = {name for (name,) in listed}  # a view could be called so, and compute for ever
+    listed = db.execute("SELECT name, CAST(sql AS TEXT) FROM sqlite_master WHERE type = 'table'")
+    tables = {name for name, sql in listed if _is_plain(sql)}
     if not {"topics", "messages"} <= tables:
         raise sqlite3.DatabaseError("it has no tables 'topics' and 'messages'")
     definitions: dict[str, tuple[str, bytes]] = {}
@@ -53,6 +54,11 @@ def _channels(db: sqlite3.Connection) -> dict[int, Channel]:
     for key, name, type_, encoding in db.execute(f"SELECT id, {columns} FROM topics WHERE typeof(id) = 'integer'"):  # noqa: S608
         found[key] = channel(name, type_, encoding, *definitions.get(type_, ("", b"")))
     return found
+
+
+def _is_plain(sql: str | None) -> bool:
+    """Whether a table only holds values: views and generated columns could compute for ever, or gigabytes."""
+    return bool(sql) and str(sql).startswith("CREATE TABLE") and not re.search(r"\bAS\b", str(sql), re.IGNORECASE)
 
 
 def _texts(*columns: str) -> str:
