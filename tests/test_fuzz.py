@@ -20,22 +20,28 @@ import pytest
 import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from test_segmenters import needs_onnx, onnx_file
 
 from bags import Messages, write
 from fuzzed import FORMATS, apply, contents, limited, watched
 from tum_folder import write_tum_folder
 from vlmm_log.conversion import convert
 from vlmm_log.image_files import decoded
+from vlmm_log.models.yolo import Yolo
 from vlmm_log.readers import open_log
 from vlmm_log.readers.bag import decompression
 from vlmm_log.readers.bag.containers import MessageError, open_container
 from vlmm_log.readers.bag.rosbag2 import open_rosbag2
 from vlmm_log.readers.bag.schemas import Schema, decoder
 from vlmm_log.readers.bag.sqlite import open_sqlite
+from vlmm_log.readers.bag.synchronise import MOST_WAITING, synchronised
 from vlmm_log.readers.intrinsics import from_file
 from vlmm_log.readers.stamps import associate
-from vlmm_log.settings import Settings
-from vlmm_log.types import InputError
+from vlmm_log.readers.stored import Shot
+from vlmm_log.recording import open_recording
+from vlmm_log.recording.rrd_damage import first_damage, places
+from vlmm_log.settings import ObjectSettings, Settings
+from vlmm_log.types import InputError, Skipped
 
 SPARE = 3 << 30  # bytes of addresses beside those in use: threads and compilers take some without touching them
 
@@ -187,6 +193,50 @@ def test_stamps_that_lie_near_to_each_other_take_no_memory():
     stamps = list(range(30_000))
     with limited(512 << 20):
         assert associate(stamps, stamps, 20_000_000) == [(k, k) for k in stamps]
+
+
+def test_images_that_lie_near_to_each_other_take_no_time():
+    def stream(count):
+        return [Shot(kind, k, k, f"{kind} {k}", lambda: None) for k in range(count) for kind in ("rgb", "depth")]
+
+    assert [pair[0].index for pair in synchronised(stream(1500), 20_000_000)] == list(range(1500))
+    items = list(synchronised(stream(20_000), 20_000_000))
+    reasons = {x.reason for x in items if isinstance(x, Skipped)}
+    assert reasons == {f"{MOST_WAITING} images wait for others at its time"}
+    assert len(items) == MOST_WAITING + 2 * (20_000 - MOST_WAITING)
+
+
+def test_a_damaged_message_of_a_recording_is_told_where_it_lies(tmp_path):
+    """Rerun's own decoder may end the process."""
+    form = next(form for form in FORMATS if form.name == "recording, rrd")
+    data = whole(form)["a.rrd"]
+    (tmp_path / "a.rrd").write_bytes(data)
+    with (tmp_path / "a.rrd").open("rb") as f:
+        assert first_damage(f, len(data)) is None
+        messages = [(at, length) for kind, at, length in places(f, len(data)) if kind == 2]
+    for at, length in messages[::9]:
+        broken = bytearray(data)
+        broken[at + length // 2 : at + length // 2 + 40] = bytes(40)
+        (tmp_path / "a.rrd").write_bytes(broken)
+        with pytest.raises(InputError, match=f"its message at byte {at} is damaged; process the log again"):
+            open_recording(tmp_path / "a.rrd")
+
+
+@needs_onnx
+@pytest.mark.parametrize(
+    ("shape", "value", "told"),
+    [
+        ((1, 3, 60_000, 60_000), 1, "its input is of"),
+        ((1, 3, 0, 32), 1, "its input is of"),
+        ((1, 3, 32, 32), np.nan, "boxes that are no numbers"),
+    ],
+)
+def test_a_network_s_sizes_and_numbers_are_checked(tmp_path, shape, value, told):
+    rows = np.full((1, 4 + 1 + 2, 3), value)
+    rows[0, 4] = 0.9
+    path = onnx_file(tmp_path / "n.onnx", shape, [rows, np.ones((1, 2, 8, 8))], {"names": "['cup']"})
+    with limited(1 << 30), pytest.raises(InputError, match=told):
+        Yolo(path, ObjectSettings())
 
 
 # ---- files that compute
