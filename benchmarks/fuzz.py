@@ -83,11 +83,13 @@ def read_many(name: str, sample: Path, seed: int, until: float) -> None:
     """The child: inputs from a seed on, a line before and after each."""
     form = next(f for f in FORMATS if f.name == name)
     whole = contents(sample)
+    channel = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what a library prints is no outcome
     with tempfile.TemporaryDirectory(prefix="vlmm-log-") as room:
         form.read(Path(shutil.copytree(sample, Path(room) / "whole")))
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
         while time.time() < until:
-            print(json.dumps(seed), flush=True)
+            print(json.dumps(seed), file=channel, flush=True)
             folder = Path(room) / "input"
             signal.alarm(SECONDS)
             began = time.perf_counter()
@@ -96,7 +98,7 @@ def read_many(name: str, sample: Path, seed: int, until: float) -> None:
             signal.alarm(0)
             shutil.rmtree(folder)
             mib = most_memory()
-            print(json.dumps([told, seed, seconds, mib]), flush=True)
+            print(json.dumps([told, seed, seconds, mib]), file=channel, flush=True)
             seed += 1
 
 

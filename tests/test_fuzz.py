@@ -22,6 +22,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_segmenters import needs_onnx, onnx_file
 
+import vlmm_log
 from bags import Messages, write
 from fuzzed import FORMATS, apply, contents, limited, watched
 from tum_folder import write_tum_folder
@@ -39,6 +40,7 @@ from vlmm_log.readers.intrinsics import from_file
 from vlmm_log.readers.stamps import associate
 from vlmm_log.readers.stored import Shot
 from vlmm_log.recording import open_recording
+from vlmm_log.recording.properties import end_of, run_of
 from vlmm_log.recording.rrd_damage import first_damage, places
 from vlmm_log.settings import ObjectSettings, Settings
 from vlmm_log.types import InputError, Skipped
@@ -220,6 +222,39 @@ def test_a_damaged_message_of_a_recording_is_told_where_it_lies(tmp_path):
         (tmp_path / "a.rrd").write_bytes(broken)
         with pytest.raises(InputError, match=f"its message at byte {at} is damaged; process the log again"):
             open_recording(tmp_path / "a.rrd")
+
+
+def test_what_a_recording_says_of_its_run_is_checked(tmp_path):
+    run = {"source": "a", "reader": "tum", "settings": Settings().to_toml(), "world_up": "+z", "versions": "{}"}
+    run |= {"notes": "[]", "has_poses": True}
+    end = {"complete": True, "input_hash": "", "frames": 2, "pairs": 1}
+    assert (run_of(tmp_path, run).notes, end_of(tmp_path, end).pairs) == ((), 1)
+    for name, wrong in (
+        *((name, None) for name in run if name != "has_poses"),
+        *(("versions", v) for v in ("[]", "{", '{"a": 1}', "[" * 99_999)),
+        *(("notes", v) for v in ("{", "3", "[1]")),
+        *(("settings", v) for v in ("a =", "a = " + "[" * 99_999, "profile = []", "noise.alpha = 'x'")),
+        ("world_up", "up"),
+    ):
+        with pytest.raises(InputError):
+            run_of(tmp_path, run | {name: wrong})
+    for name in end:
+        with pytest.raises(InputError):
+            end_of(tmp_path, end | {name: None})
+        with pytest.raises(InputError):
+            end_of(tmp_path, {k: v for k, v in end.items() if k != name})
+
+
+@pytest.mark.parametrize(("up", "pose"), [("+x", "0 -1 0 {} 1 0 0 0 0 0 1 0"), ("-z", "1 0 0 {} 0 0 -1 0 0 1 0 0")])
+def test_poses_in_any_world_make_a_map_that_is_read_back(tmp_path, up, pose):
+    """Broken poses found what good ones can be too: cameras whose up is x or -z."""
+    files = {"poses.txt": "".join(f"{pose.format(k)}\n" for k in range(4)), "rgb.txt": None, "depth.txt": None}
+    log = write_tum_folder(tmp_path / "log", shift_px=2, files=files)
+    assert open_log(log).world_up == up
+    vlmm_log.process(log, rrd=tmp_path / "a.rrd", map=tmp_path / "a.json", queries=("things above the floor",))
+    for path in (tmp_path / "a.rrd", tmp_path / "a.json"):
+        assert vlmm_log.load_map(path).run.world_up == up
+        assert vlmm_log.query(path, "everything")
 
 
 @needs_onnx

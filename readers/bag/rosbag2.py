@@ -53,7 +53,8 @@ def _metadata(path: Path) -> tuple[Mapping[str, Any], list[Skipped]]:
         return {}, [Skipped(0, file.name, "metadata.yaml is missing; parts were taken in the order of names")]
     with suppress(OSError, ValueError, YAMLError, LookupError, TypeError, AttributeError, RecursionError):
         text = file.read_text("utf-8")
-        told = YAML(typ="safe").load(text)["rosbag2_bagfile_information"] if "<<" not in text else {}
+        merges = "<<" in text  # few keys, merged again and again, make any number
+        told = {} if merges else YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
         names = told["relative_file_paths"]
         if names and isinstance(names, list) and all(isinstance(name, str) for name in names):
             return told, []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import tempfile
@@ -16,9 +15,9 @@ from typing import Any
 import rerun.chunk
 
 from vlmm_log.entries import Entry, Look
+from vlmm_log.recording.properties import end_of, run_of
 from vlmm_log.recording.rrd_damage import STREAM_HEADER, first_damage, places
 from vlmm_log.recording.rrd_values import Cells, values
-from vlmm_log.settings import Settings
 from vlmm_log.types import InputError, Run, RunEnd
 
 RUN, END = "/__properties/vlmm", "/__properties/vlmm_end"
@@ -99,7 +98,7 @@ def open_rrd(path: Path) -> Rrd:
                 told[chunk.entity_path].update({name: cell[0].as_py() for name, cell in row.cells.items()})
         if not told[RUN]:
             raise InputError(f"{path}: not a recording of vlmm-log process: it holds no settings")
-        run, end = _run(path, told[RUN]), RunEnd(**told[END]) if told[END] else None
+        run, end = run_of(path, told[RUN]), end_of(path, told[END]) if told[END] else None
         components = _components(path, file, whole)
     except BaseException:
         if file != path:
@@ -202,19 +201,3 @@ def _last_message(f: Any, size: int) -> int:
     if not f.read(STREAM_HEADER).startswith(b"RRF2"):
         return 0
     return max((at + length for _, at, length in places(f, size)), default=STREAM_HEADER)
-
-
-def _run(path: Path, row: dict[str, Any]) -> Run:
-    try:
-        Settings.from_toml(row["settings"], str(path))
-        return Run(
-            row["source"],
-            row["reader"],
-            row["settings"],
-            json.loads(row["versions"]),
-            bool(row["has_poses"]),
-            row["world_up"],
-            tuple(json.loads(row["notes"])),
-        )
-    except (KeyError, ValueError, TypeError) as e:
-        raise InputError(f"{path}: its properties are not those of this version: {e}; process the log again") from e
