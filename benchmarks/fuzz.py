@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -32,9 +31,10 @@ from benchmarks.data import ROOT
 from vlmm_log.types import InputError
 
 sys.path[:0] = [str(ROOT / "tests")]
-from fuzzed import FORMATS, Format, apply, contents, watched  # noqa: E402
+from fuzzed import FORMATS, Format, apply, contents, limited, watched  # noqa: E402
 
-MEMORY = 4 << 30  # bytes of addresses, those of the libraries included
+SPARE = 3 << 30  # bytes of addresses that an input may take
+CHILD = 400  # inputs that one process reads: Rerun keeps threads of every recording that it wrote
 SECONDS = 20  # an input may take
 KINDS = ("refused", "losses told", "whole", "crash", "hang")
 
@@ -64,7 +64,7 @@ def outcome(form: Format, whole: dict[str, bytes], folder: Path, seed: int) -> s
     """What came of one input: one of KINDS, a crash with where."""
     apply(form, whole, folder, np.random.default_rng(seed))
     try:
-        with watched(folder):
+        with watched(folder), limited(SPARE):
             return "losses told" if form.read(folder) else "whole"
     except InputError as e:
         return "refused" if "\n" not in str(e) else f"crash: several lines: {e!r:.100}"
@@ -79,7 +79,7 @@ def most_memory() -> float:
     return next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1024
 
 
-def read_many(name: str, sample: Path, seed: int, until: float) -> None:
+def read_many(name: str, sample: Path, first: int, until: float) -> None:
     """The child: inputs from a seed on, a line before and after each."""
     form = next(f for f in FORMATS if f.name == name)
     whole = contents(sample)
@@ -87,8 +87,9 @@ def read_many(name: str, sample: Path, seed: int, until: float) -> None:
     os.dup2(2, 1)  # what a library prints is no outcome
     with tempfile.TemporaryDirectory(prefix="vlmm-log-") as room:
         form.read(Path(shutil.copytree(sample, Path(room) / "whole")))
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-        while time.time() < until:
+        for seed in range(first, first + CHILD):
+            if time.time() > until:
+                break
             print(json.dumps(seed), file=channel, flush=True)
             folder = Path(room) / "input"
             signal.alarm(SECONDS)
@@ -99,7 +100,6 @@ def read_many(name: str, sample: Path, seed: int, until: float) -> None:
             shutil.rmtree(folder)
             mib = most_memory()
             print(json.dumps([told, seed, seconds, mib]), file=channel, flush=True)
-            seed += 1
 
 
 def turn(form: Format, sample: Path, tried: Tried, until: float) -> None:
