@@ -108,10 +108,14 @@ WATCH = _Watch()
 
 @contextmanager
 def limited(extra_bytes):
-    """MemoryError for who asks for more than so much beyond what this process has."""
+    """MemoryError for who asks for more than so much beyond what this process has; Linux only."""
+    about = Path("/proc/self/statm")
+    if not about.exists():
+        yield
+        return
     import resource
 
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    used = int(about.read_text().split()[0]) * resource.getpagesize()
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (used + extra_bytes, hard))
     try:
@@ -208,7 +212,7 @@ PNGS = (("*.png", broken_png), ("*.png", broken_bytes))
 FOLDERS = (
     Format("TUM folder", _tum, TEXTS, read_folder),
     Format("TUM folder, images", _tum, PNGS, read_folder),
-    Format("TUM folder to bag", _tum, TEXTS, partial(converted, name="log", to=".bag")),
+    Format("TUM folder to bag", _tum, TEXTS, partial(converted, name="log", to=".bag"), examples=60),
     Format(
         "KITTI poses",
         partial(_plain, lists={"poses.txt": KITTI, "times.txt": TIMES}),
@@ -568,7 +572,11 @@ def read_recording(folder):
 
 RECORDINGS = tuple(
     Format(
-        f"recording, {schema}", partial(_recordings, schema=schema), ((f"a.{suffix}", broken_bytes),), read_recording
+        f"recording, {schema}",
+        partial(_recordings, schema=schema),
+        ((f"a.{suffix}", broken_bytes),),
+        read_recording,
+        examples=60,
     )
     for schema, suffix in (("rrd", "rrd"), ("ros2", "mcap"), ("foxglove", "mcap"))
 )
