@@ -2,7 +2,7 @@
 VENV ?= .venv
 PY := $(VENV)/bin/python
 
-.PHONY: demo test check bench twins doctor reproduce router picture house clean
+.PHONY: demo test check bench twins doctor reproduce router fuzz picture house clean
 
 $(VENV)/.ready: pyproject.toml
 	python3 -m venv $(VENV)
@@ -50,6 +50,9 @@ reproduce: $(VENV)/.ready  ## every table: the paper's figures and ours, in repr
 
 router: $(VENV)/.ready  ## routing accuracy of both query parsers
 	$(PY) -m benchmarks.router
+
+fuzz: $(VENV)/.ready  ## broken files of every format, for eight minutes
+	$(PY) -m benchmarks.fuzz
 
 picture: demo  ## the README's picture, from the demo, by the headless viewer (needs Vulkan)
 	$(PY) examples/viewer_picture.py demo/room.rrd docs/viewer.png 12

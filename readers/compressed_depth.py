@@ -13,13 +13,13 @@ from typing import Literal, assert_never
 import cv2
 import numpy as np
 
+from vlmm_log.image_files import LARGEST
 from vlmm_log.readers.images import ImageError, check_size, depth_of_file, media_type
 from vlmm_log.types import Float32, UInt16
 
 HEADER = struct.Struct("<iff")
 SIZE = struct.Struct("<ii")
 INVERSE_DEPTH = 0  # the only kind that the header's first number ever names
-LARGEST = 1 << 26  # px of an image; a damaged size is not worth its memory
 
 Form = Literal["png", "rvl"]
 

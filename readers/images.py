@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vlmm_log.image_files import decoded
 from vlmm_log.readers.stored import StoredImage
 from vlmm_log.types import Float32, Float64, UInt8, UInt16
 
@@ -138,10 +139,7 @@ def media_type(data: bytes | memoryview) -> str | None:
 
 
 def _decode(data: bytes | memoryview, flags: int, what: str) -> cv2.typing.MatLike:
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
-    except cv2.error:
-        image = None
+    image = decoded(data, flags)
     if image is None:
         raise ImageError(f"{what} image cannot be decoded")
     check_size(image.shape[0], image.shape[1], what)

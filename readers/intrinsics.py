@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vlmm_log.image_files import LARGEST
 from vlmm_log.settings import ReadSettings
 from vlmm_log.types import Float64, InputError
 
@@ -172,6 +173,9 @@ def checked(camera: Intrinsics, where: str) -> Intrinsics:
         raise InputError(
             f"{where}: focal lengths must be positive and all values finite, {LEAST_PX:g} to {MOST_PX:g} px"
         )
+    w, h = camera.width, camera.height
+    if min(w, h) < 0 or max(w, h, w * h) > LARGEST:
+        raise InputError(f"{where}: no image is {w:.6g}x{h:.6g} px; correct width and height")
     if camera.distortion and len(camera.distortion) not in MODELS.get(camera.model, ()):
         known = "; ".join(f"{name} takes {' or '.join(map(str, n))}" for name, n in MODELS.items())
         raise InputError(f"{where}: {len(camera.distortion)} distortion numbers for {camera.model!r}: {known}")

@@ -18,6 +18,7 @@ COLOURS = (".png", ".jpg", ".jpeg")
 DEPTHS = (".png", ".pgm", ".tif", ".tiff")
 TIME_LISTS = ("associations.txt", "times.txt", "timestamps.txt")
 TIME_FORMS = "write a time in seconds a row, or 'time file time file'"
+LAST_NUMBER = 10**11  # its nominal stamp fits 64 bits
 RATE_HZ = 30  # of frames that nothing times
 NOMINAL = f"stamps are nominal, {RATE_HZ} per second: speeds in m/s mean nothing"
 
@@ -84,6 +85,8 @@ def counted(numbers: Mapping[str, int], path: Path) -> Counted:
     """Files by number. Raises InputError where two have the same one."""
     files: dict[int, str] = {}
     for file, number in sorted(numbers.items(), key=lambda item: item[1]):
+        if number > LAST_NUMBER:
+            raise InputError(f"{path}: {file} has too large a number; name images from 0 on, or by seconds")
         if files.setdefault(number, file) != file:
             raise InputError(f"{path}: {files[number]} and {file} have one number; keep one")
     return Counted(files)

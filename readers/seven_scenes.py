@@ -75,7 +75,7 @@ def from_info(path: Path) -> Intrinsics:
             int(values.get(name, [0])[0]) for name in ("m_colorWidth", "m_colorHeight", "m_depthShift")
         )
         fx, fy, cx, cy = (colour[k] for k in (0, 5, 2, 6))
-    except (OSError, ValueError, LookupError) as e:
+    except (OSError, ValueError, LookupError, OverflowError) as e:
         raise InputError(
             f"{path}: no row 'm_calibrationColorIntrinsic = ' and 16 numbers; give --intrinsics fx,fy,cx,cy"
         ) from e

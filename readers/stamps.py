@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Sequence
 from decimal import Decimal
-
-import numpy as np
 
 LATEST_NS = 2**62  # a stamp and a limit add up within 64 bits
 FOREVER_NS = 10**17  # three years: what is asked for so long is asked for to the end
@@ -35,21 +34,35 @@ def until_ns(stop_ns: int) -> int:
 def associate(a: Sequence[int], b: Sequence[int], tolerance_ns: int) -> list[tuple[int, int]]:
     """Indices (i, j) of stamps that belong together, each used once, nearest pairs first, sorted by i.
 
-    Both sequences ascend. The pairing is stable: no two stamps left apart are nearer to each other than to
-    the partners that they got.
+    Both sequences ascend strictly. The pairing is stable: no two stamps left apart are nearer to each other than to
+    the partners that they got. Of what is left, the nearest two are always neighbours in the order of all stamps, so
+    that memory grows with the stamps and not with what lies within the tolerance.
     """
-    later = np.asarray(b, np.int64)
-    candidates = []
-    for i, stamp in enumerate(a):
-        low = int(np.searchsorted(later, stamp - tolerance_ns, "left"))
-        high = int(np.searchsorted(later, stamp + tolerance_ns, "right"))
-        candidates += [(abs(int(later[j]) - stamp), i, j) for j in range(low, high)]
-    used_a: set[int] = set()
-    used_b: set[int] = set()
+    line = sorted([(stamp, 0, i) for i, stamp in enumerate(a)] + [(stamp, 1, j) for j, stamp in enumerate(b)])
+    before, after = list(range(-1, len(line) - 1)), list(range(1, len(line) + 1))
+    heap: list[tuple[int, int, int, int, int]] = []  # distance, i, j, places of the two in the line
+
+    def offer(left: int, right: int) -> None:
+        if left >= 0 and right < len(line) and line[left][1] != line[right][1]:
+            distance = line[right][0] - line[left][0]
+            i, j = (line[place][2] for place in sorted((left, right), key=lambda place: line[place][1]))
+            if distance <= tolerance_ns:
+                heapq.heappush(heap, (distance, i, j, left, right))
+
+    for left in range(len(line) - 1):
+        offer(left, left + 1)
+    used = [False] * len(line)
     pairs = []
-    for _, i, j in sorted(candidates):
-        if i not in used_a and j not in used_b:
-            used_a.add(i)
-            used_b.add(j)
-            pairs.append((i, j))
+    while heap:
+        _, i, j, left, right = heapq.heappop(heap)
+        if used[left] or used[right]:
+            continue
+        used[left] = used[right] = True
+        pairs.append((i, j))
+        outer = before[left], after[right]
+        if outer[0] >= 0:
+            after[outer[0]] = outer[1]
+        if outer[1] < len(line):
+            before[outer[1]] = outer[0]
+        offer(*outer)
     return sorted(pairs)

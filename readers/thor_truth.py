@@ -112,5 +112,5 @@ def _object(line: str, where: str) -> ThorObject:
             float(row["openness"]),
             bool(row["visible"]),
         )
-    except (ValueError, TypeError, LookupError) as e:
+    except (ValueError, TypeError, LookupError, OverflowError, RecursionError) as e:
         raise InputError(f"{where}: not an object as examples/record_ai2thor.py writes it: {e!r}; record again") from e

@@ -18,6 +18,7 @@ from vlmm_log.elements import (
     WorldMap,
 )
 from vlmm_log.maps import SavedMap
+from vlmm_log.maps.saved import WORLD_UP
 from vlmm_log.types import Run, RunEnd
 
 ORIGIN_NS = 1_305_031_227_000_000_000
@@ -196,7 +197,7 @@ def saved_maps(draw):
         draw(texts),
         draw(st.dictionaries(texts, texts, max_size=2)),
         draw(st.booleans()),
-        draw(st.sampled_from(["+z", "+y", "-y"])),
+        draw(st.sampled_from(WORLD_UP)),
         tuple(draw(st.lists(texts, max_size=2))),
     )
     end = RunEnd(draw(st.booleans()), draw(texts), draw(ids), draw(ids))

@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from vlmm_log.readers.bag.chunked import ChunkError
 from vlmm_log.readers.bag.containers import Message, MessageError, is_container, open_container
-from vlmm_log.readers.bag.rosbag1_records import decompressed
+from vlmm_log.readers.bag.rosbag1_records import chunk_content
 from vlmm_log.types import InputError, Skipped
 
 EVER = 2**62
@@ -440,9 +440,9 @@ def test_a_chunk_of_several_lz4_frames_is_read_whole():
     parts = [bytes([k]) * (50_000 * k) for k in range(1, 4)]
     data = b"".join(lz4.frame.compress(part) for part in parts)
     whole = b"".join(parts)
-    assert decompressed(data, b"lz4", len(whole)) == whole
+    assert chunk_content(data, b"lz4", len(whole)) == whole
     with pytest.raises(ChunkError):
-        decompressed(data[:-9], b"lz4", len(whole))
+        chunk_content(data[:-9], b"lz4", len(whole))
 
 
 def test_damaged_pages_of_a_database_cost_their_rows_only(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 GROUND = {"types", "background", "elements", "query_tree", "queries", "entries", "depth_pixels", "se3", "settings"}
-GROUND |= {"protocols", "calibration", "cache", "compiled", "rvl"}
+GROUND |= {"protocols", "calibration", "cache", "compiled", "rvl", "image_files"}
 ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/types.py": set(),
     "vlmm_log/version.py": set(),
@@ -32,7 +32,8 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/simulation": GROUND | {"simulation"},
     "vlmm_log/checks": GROUND | {"checks", "readers", "pipeline", "models"},
     "vlmm_log/sinks": GROUND | {"sinks", "ros"},
-    "vlmm_log/depth_pixels.py": {"types", "entries"},
+    "vlmm_log/depth_pixels.py": {"types", "entries", "image_files"},
+    "vlmm_log/image_files.py": set(),
     "vlmm_log/recording": GROUND | {"recording", "readers", "pipeline", "maps"},
     "vlmm_log/pages": {"pages", "types"},
     "vlmm_log/comparison": GROUND | {"comparison", "pages", "recording", "sinks", "version"},
@@ -61,12 +62,23 @@ FOREIGN = {  # what only some rooms may know
     "onnxruntime": {"vlmm_log/models"},
     "open_clip": {"vlmm_log/models"},
     "sklearn": {"vlmm_log/models", "vlmm_log/evaluation"},
-    "urllib3": {"vlmm_log/models"},
+    "urllib3": {"vlmm_log/models/endpoint.py"},  # a language model, where a URL is given
+    "socket": {"vlmm_log/batches/cluster.py"},  # a Ray cluster, where one is named
+    "pickle": {"vlmm_log/workers"},  # between processes of our own, never of a file
+    "subprocess": {"vlmm_log/batches/local.py", "vlmm_log/viewing.py"},
     "ray": {"vlmm_log/batches/cluster.py"},
     "pyarrow": {"vlmm_log/batches", "vlmm_log/maps", "vlmm_log/recording", "vlmm_log/sinks"},
     "numba": {"vlmm_log/compiled.py"},
     "click": {"vlmm_log/cli.py", "vlmm_log/progress.py"},
 }
+NOWHERE = {"requests", "http", "ftplib", "smtplib", "aiohttp", "httpx", "urllib.request", "marshal", "shelve", "joblib"}
+ONLY = {  # call -> an argument that it is to have
+    "torch.load": ("weights_only", True),
+    "numpy.load": ("allow_pickle", False),
+    "ruamel.yaml.YAML": ("typ", "safe"),
+}
+NEVER = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "subprocess.getoutput", "yaml.load"}
+NEVER |= {"pickle.load", "torch.hub.load", "torch.hub.load_state_dict_from_url"}
 SOURCES = sorted(p for d in ("vlmm_log", "readers", "pipeline") for p in (ROOT / d).rglob("*.py"))
 
 
@@ -77,6 +89,24 @@ def imports(path):
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def breaches(tree):
+    """Calls that run what a file or a shell says. Names are taken as they were imported."""
+    known = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            origin = f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
+            known |= {alias.asname or alias.name.split(".")[0]: f"{origin}{alias.name}" for alias in node.names}
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        first, dot, rest = ast.unparse(call.func).partition(".")
+        origin = known.get(first, first)
+        name = f"{origin}{dot}{rest}" if not origin.startswith(f"{first}.") else f"{first}{dot}{rest}"
+        given = {k.arg: getattr(k.value, "value", None) for k in call.keywords}
+        if name in NEVER or given.get("shell", False) is not False:
+            yield name
+        if name in ONLY and given.get(ONLY[name][0]) != ONLY[name][1]:
+            yield name
 
 
 def room_of(path):
@@ -95,6 +125,32 @@ def test_imports_point_down(path):
         if top in FOREIGN:
             known = any(path.relative_to(ROOT).as_posix().startswith(r) for r in FOREIGN[top])
             assert known, f"{path}: may not know {top}"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_no_file_is_run_and_nothing_is_fetched(path):
+    assert list(breaches(ast.parse(path.read_text("utf-8")))) == []
+    assert not [name for name in imports(path) if any(f"{name}.".startswith(f"{n}.") for n in NOWHERE)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "eval('1')",
+        "import os\nos.system('true')",
+        "from os import system\nsystem('true')",
+        "import subprocess as s\ns.run('true', shell=True)",
+        "import torch\ntorch.load(f)",
+        "import torch as t\nt.load(f, weights_only=False)",
+        "from torch import load\nload(f)",
+        "import numpy as np\nnp.load(f)",
+        "from ruamel.yaml import YAML\nYAML().load(f)",
+        "from pickle import load\nload(f)",
+        "import os.path\nos.system('true')",
+    ],
+)
+def test_a_breach_is_seen(text):
+    assert len(list(breaches(ast.parse(text)))) == 1
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT).as_posix())

@@ -253,7 +253,7 @@ def _voxels(voxel_m, cells, sums):
         (saved(world([element(3), element(4, feature=(1,))])), "element 4: semantic_feat: has 1 numbers, another"),
         (saved(world(pending=[evidence(3, feature=(np.nan,))])), "element 3: semantic_feat: not all"),
         (saved(world([element(3, "\ud800")])), "a name in the map is no Unicode text: "),
-        (saved(world_up="up"), "run.world_up: is none of +z, +y, -y"),
+        (saved(world_up="up"), "run.world_up: is none of +z, -z, +y, -y, +x, -x"),
         (saved(T_world_cam=np.full((4, 4), np.nan)), "T_world_cam: is not 4 x 4 finite"),
         (_voxels(0.0, [], []), "background.voxel_m: is not a positive number"),
         (

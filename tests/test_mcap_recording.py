@@ -184,7 +184,7 @@ ODD = [
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_odd_values_come_back(tmp_path, name):
-    run = Run("log", "own", vlmm_log.Settings().to_toml(), {}, False, "", ())
+    run = Run("log", "own", vlmm_log.Settings().to_toml(), {}, False, "-y", ())
     file = McapFile(tmp_path / "a.mcap", run, load_dialect(name))
     for k, value in enumerate(ODD):
         file.put(entries.Entry(f"odd/{k}", value, 0, k))  # time 0: Protobuf says nothing of that, too

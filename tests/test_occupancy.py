@@ -14,6 +14,8 @@ from vlmm_log.background import Background
 from vlmm_log.elements import MotionClass, WorldMap
 from vlmm_log.maps.grid import save_grid
 from vlmm_log.maps.occupancy import FREE, OCCUPIED, R_GRID_WORLD, UNKNOWN, occupancy
+from vlmm_log.maps.saved import WORLD_UP
+from vlmm_log.pipeline.language.space import UP
 from vlmm_log.settings import GridSettings
 from vlmm_log.types import InputError
 
@@ -80,10 +82,10 @@ def test_a_known_room_gives_the_known_cells_wherever_it_lies(shift):
     assert (grid.element_id == -1).all()
 
 
-@pytest.mark.parametrize("up", ["+z", "+y", "-y"])
+@pytest.mark.parametrize("up", WORLD_UP)
 def test_every_up_axis_gives_the_same_grid(up):
     R = R_GRID_WORLD[up]
-    np.testing.assert_allclose(R @ {"+z": [0, 0, 1], "+y": [0, 1, 0], "-y": [0, -1, 0]}[up], [0, 0, 1])
+    np.testing.assert_allclose(R @ UP[up], [0, 0, 1])
     assert np.linalg.det(R) == 1
     long = np.diag([0.04, 0.0025, 0.01])  # m^2, grid axes
     extents = {"+z": long, up: R.T @ long @ R}

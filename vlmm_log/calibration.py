@@ -89,7 +89,7 @@ def load_calibration(path: Path) -> Calibration:
             float(table["static_d_m2"]),
             None if table["sigma_z"] is None else (float(table["sigma_z"][0]), float(table["sigma_z"][1])),
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as e:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError) as e:
         raise InputError(f"{path}: no calibration: {e}; make one with vlmm-log eval LOG --calibrate FILE") from e
 
 

@@ -154,7 +154,7 @@ def _check_outside(out: Path, inputs: list[Path]) -> None:
 def _check_tum_name(out: Path) -> None:
     """Refuse a name that makes other readers take the folder, which then read its poses in their own way."""
     full = out.resolve()
-    with TemporaryDirectory() as room:
+    with TemporaryDirectory(prefix="vlmm-log-") as room:
         probe = Path(room) / full.parent.name / full.name
         probe.mkdir(parents=True)
         for name in ("rgb.txt", "depth.txt"):

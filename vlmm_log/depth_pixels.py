@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlmm_log.entries import DepthMap
+from vlmm_log.image_files import decoded
 from vlmm_log.types import EncodedImage
 
 MILLIMETRES = 1000.0
@@ -18,7 +19,7 @@ def pixels(depth: DepthMap) -> NDArray[Any]:
     """Depth (H, W) as stored. Raises ValueError where the image file is none."""
     if not isinstance(depth.stored, EncodedImage):
         return depth.stored
-    values = cv2.imdecode(np.frombuffer(depth.stored.data, np.uint8), cv2.IMREAD_UNCHANGED)
+    values = decoded(depth.stored.data, cv2.IMREAD_UNCHANGED)
     if values is None:
         raise ValueError("depth image cannot be decoded")
     return values

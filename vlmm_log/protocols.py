@@ -64,7 +64,7 @@ class Log(Protocol):
 
     @property
     def world_up(self) -> str:
-        """Axis of the world that points up: "+z", "+y"; "-y" where the world is the camera's frame."""
+        """Axis of the world that points up, as "+z" or "-x"; "-y" where the world is the camera's frame."""
         ...
 
     @property

@@ -307,10 +307,10 @@ class Settings:
         """Settings of a TOML text, as ``to_toml`` gives it. Raises InputError, which names ``where``."""
         try:
             table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as e:
-            raise InputError(f"{where}: its settings are no TOML: {e}") from e
+        except (tomllib.TOMLDecodeError, RecursionError) as e:
+            raise InputError(f"{where}: its settings are no TOML: {str(e)[:80]}") from e
         profile = table.get("profile", "default")
-        if profile not in PROFILES:
+        if not isinstance(profile, str) or profile not in PROFILES:
             raise InputError(f"{where}: profile {profile!r}: no such profile; there are {', '.join(PROFILES)}")
         return with_values(PROFILES[profile], table, where)
 

@@ -9,7 +9,14 @@ from vlmm_log.types import Float32, Float64, Int64
 
 FEW = 32  # targets up to which a pass over all points each beats a tree
 
-UP = {"+z": (0.0, 0.0, 1.0), "+y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0)}
+UP = {
+    "+x": (1.0, 0.0, 0.0),
+    "+y": (0.0, 1.0, 0.0),
+    "+z": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "-z": (0.0, 0.0, -1.0),
+}
 
 
 def placed(points: Float32) -> NDArray[np.bool_]:

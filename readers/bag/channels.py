@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-from vlmm_log.readers.bag.containers import Message, MessageError, Topic
+from vlmm_log.readers.bag.containers import Message, Topic
+from vlmm_log.readers.bag.decompression import decompressed_message
 from vlmm_log.readers.bag.schemas import Decoder, Schema, decoder, type_name
 from vlmm_log.types import Skipped
 
@@ -45,16 +46,7 @@ def message(of: Channel, log_ns: int, ordinal: int, raw: bytes) -> Message | Ski
     """The message of a record; ROS 2 may have compressed it."""
     if of.topic.encoding == "cdr" and raw.startswith(ZSTD_MAGIC):
         try:
-            raw = _decompressed(raw)
-        except MessageError as e:
-            return Skipped(log_ns, of.topic.name, str(e))
+            raw = decompressed_message(raw)
+        except ValueError:
+            return Skipped(log_ns, of.topic.name, "message cannot be decompressed")
     return Message(of.topic, log_ns, ordinal, raw, partial(of.decode, raw))
-
-
-def _decompressed(raw: bytes) -> bytes:
-    import zstandard
-
-    try:
-        return zstandard.ZstdDecompressor().decompressobj().decompress(raw)
-    except (zstandard.ZstdError, MemoryError) as e:
-        raise MessageError("message cannot be decompressed") from e

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import BinaryIO, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,6 +20,20 @@ from vlmm_log.types import Int64, Skipped
 
 class ChunkError(Exception):
     """Why a chunk cannot be used, in a few words that can be counted."""
+
+
+def read_at(file: BinaryIO, start: int, size: int) -> bytes:
+    """Bytes of a file. Raises ChunkError where it is shorter: nothing is reserved for what is not there."""
+    try:
+        if start + size > os.fstat(file.fileno()).st_size:
+            raise ChunkError("file is cut off")
+        file.seek(start)
+        data = file.read(size)
+    except (OSError, ValueError, OverflowError, MemoryError) as e:
+        raise ChunkError("file cannot be read") from e
+    if len(data) != size:
+        raise ChunkError("file is cut off")
+    return data
 
 
 class Record(NamedTuple):

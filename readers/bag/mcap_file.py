@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from vlmm_log.readers.bag.channels import Channel, channel, counted
-from vlmm_log.readers.bag.chunked import Chunked, ChunkError, Record, times_of
+from vlmm_log.readers.bag.chunked import Chunked, ChunkError, Record, read_at, times_of
 from vlmm_log.readers.bag.mcap_index import ChunkPlace, McapIndex, chunk_data, from_summary, from_walk
-from vlmm_log.readers.bag.mcap_records import HEAD, MAGIC, indexed_times, messages, parsed, read_at
+from vlmm_log.readers.bag.mcap_records import HEAD, MAGIC, indexed_times, messages, parsed
 from vlmm_log.types import InputError, Int64, Skipped
 
 

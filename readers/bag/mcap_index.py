@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
 
-from vlmm_log.readers.bag.chunked import ChunkError, times_of
+from vlmm_log.readers.bag.chunked import ChunkError, read_at, times_of
 from vlmm_log.readers.bag.mcap_records import (
     HEAD,
     MAGIC,
@@ -20,7 +20,6 @@ from vlmm_log.readers.bag.mcap_records import (
     indexed_times,
     messages,
     parsed,
-    read_at,
     uncompressed,
 )
 from vlmm_log.readers.stamps import LATEST_NS

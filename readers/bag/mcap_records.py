@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from typing import BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 
-from vlmm_log.readers.bag.chunked import ChunkError, Record
+from vlmm_log.readers.bag.chunked import ChunkError, Record, read_at
+from vlmm_log.readers.bag.decompression import decompressed
 from vlmm_log.types import Int64
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -62,23 +64,17 @@ def messages(data: memoryview) -> Iterator[Record]:
 
 def uncompressed(record: bytes) -> memoryview:
     """The content of a chunk record, its CRC checked where it has one. Raises ChunkError."""
-    from mcap.exceptions import McapError
     from mcap.records import Chunk
-    from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
-    from zstandard import ZstdError
 
     chunk = parsed(Chunk, record)
     if chunk.compression not in ("", "lz4", "zstd"):
         raise ChunkError(f"chunk compression {chunk.compression[:20]!r} is not read")
     try:
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        data = stream.read(length)
-    except CRCValidationError as e:
-        raise ChunkError("chunk fails its CRC") from e
-    except (McapError, ZstdError, RuntimeError, ValueError, OverflowError, MemoryError) as e:
+        data = decompressed(chunk.data, chunk.compression, chunk.uncompressed_size)
+    except ValueError as e:
         raise ChunkError("chunk cannot be decompressed") from e
-    if len(data) != chunk.uncompressed_size:
-        raise ChunkError("chunk is damaged")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ChunkError("chunk fails its CRC")
     return memoryview(data)
 
 
@@ -97,15 +93,3 @@ def indexed_times(file: BinaryIO, place: tuple[int, int]) -> dict[int, Int64]:
         entries = np.frombuffer(data, "<i8", size // 8, start + _INDEX.size)
         times.setdefault(key, []).append(entries[::2].astype(np.int64))
     return {key: np.concatenate(own) for key, own in times.items()}
-
-
-def read_at(file: BinaryIO, start: int, size: int) -> bytes:
-    """Bytes of a file. Raises ChunkError where it is shorter."""
-    try:
-        file.seek(start)
-        data = file.read(size)
-    except (OSError, OverflowError, MemoryError) as e:
-        raise ChunkError("file cannot be read") from e
-    if len(data) != size:
-        raise ChunkError("file is cut off")
-    return data

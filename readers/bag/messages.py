@@ -54,7 +54,9 @@ class Placed:
 
 def stamp_of(message: Any) -> int:
     """The header's stamp, ns. Raises MessageError where there is none."""
-    time = getattr(message, "timestamp", None) or getattr(getattr(message, "header", None), "stamp", None)
+    time = getattr(message, "timestamp", None)
+    if time is None:
+        time = getattr(getattr(message, "header", None), "stamp", None)
     seconds = _first(time, "sec", "seconds", "secs")
     nanos = _first(time, "nanosec", "nanos", "nsec", "nsecs")
     if seconds is None and nanos is None:

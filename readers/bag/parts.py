@@ -13,6 +13,7 @@ from vlmm_log.types import InputError, Int64, Skipped
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
+MOST_TIMES = 1000  # its size, that a compressed file becomes: it is not to fill the disk
 
 
 class Part(Container, Protocol):
@@ -64,6 +65,9 @@ def expanded(path: Path, folder: TemporaryDirectory[str]) -> tuple[Path, tuple[S
         try:
             for piece in zstandard.ZstdDecompressor().read_to_iter(source):
                 target.write(piece)
+                if target.tell() > MOST_TIMES * path.stat().st_size:
+                    losses = (Skipped(0, f"{path.name} after {target.tell()} bytes", "file is compressed too much"),)
+                    break
         except zstandard.ZstdError:
             losses = (Skipped(0, f"{path.name} after {target.tell()} bytes", "file cannot be decompressed"),)
     return plain, losses

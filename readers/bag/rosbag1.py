@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 
 from vlmm_log.readers.bag.channels import Channel, counted
-from vlmm_log.readers.bag.chunked import Chunked, ChunkError
+from vlmm_log.readers.bag.chunked import Chunked, ChunkError, read_at
 from vlmm_log.readers.bag.rosbag1_chunks import BagChunks, BagPlace, chunk_place
 from vlmm_log.readers.bag.rosbag1_records import (
     BAG_HEADER,
@@ -20,7 +20,6 @@ from vlmm_log.readers.bag.rosbag1_records import (
     MAGIC,
     BagRecord,
     connection,
-    read_at,
     record_in,
     records,
 )

@@ -9,18 +9,16 @@ from typing import BinaryIO
 import numpy as np
 
 from vlmm_log.readers.bag.channels import Channel
-from vlmm_log.readers.bag.chunked import ChunkError, Record, times_of
+from vlmm_log.readers.bag.chunked import ChunkError, Record, read_at, times_of
 from vlmm_log.readers.bag.rosbag1_records import (
     CHUNK,
     CONNECTION,
     INDEX,
     MESSAGE,
+    chunk_content,
     connection,
-    decompressed,
-    decompressed_head,
     index_times,
     message,
-    read_at,
     record_in,
     records,
 )
@@ -56,9 +54,7 @@ def chunk_data(file: BinaryIO, place: BagPlace) -> memoryview:
     if not place.compression:
         raise ChunkError("chunk is damaged")
     data = read_at(file, place.start, place.stop - place.start)
-    if place.size is None:
-        return memoryview(decompressed_head(data, place.compression))
-    return memoryview(decompressed(data, place.compression, place.size))
+    return memoryview(chunk_content(data, place.compression, place.size))
 
 
 def indexed_times(file: BinaryIO, place: tuple[int, int]) -> dict[int, Int64]:

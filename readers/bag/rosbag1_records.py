@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import bz2
 import struct
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from vlmm_log.readers.bag.channels import Channel, channel
-from vlmm_log.readers.bag.chunked import ChunkError, Record
+from vlmm_log.readers.bag.chunked import ChunkError, Record, read_at
+from vlmm_log.readers.bag.decompression import decompressed, decompressed_head
 from vlmm_log.types import Int64
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -86,18 +85,6 @@ def record_at(data: memoryview, at: int) -> BagRecord:
     return BagRecord(op[0], fields, start + 4, stop)
 
 
-def read_at(file: BinaryIO, start: int, size: int) -> bytes:
-    """Bytes of a file. Raises ChunkError where it is shorter."""
-    try:
-        file.seek(start)
-        data = file.read(size)
-    except OSError as e:
-        raise ChunkError("file cannot be read") from e
-    if len(data) != size:
-        raise ChunkError("file is cut off")
-    return data
-
-
 def record_in(file: BinaryIO, at: int) -> BagRecord:
     """The record at a byte of a file, its data unread and perhaps cut off. Raises ChunkError."""
     (size,) = U4.unpack(read_at(file, at, 4))
@@ -139,46 +126,17 @@ def index_times(record: BagRecord, data: bytes) -> tuple[int, Int64]:
     return record.number(b"conn"), entries[:, 0] * 1_000_000_000 + entries[:, 1]
 
 
-def decompressed(data: bytes, compression: bytes, size: int) -> bytes:
-    """The content of a chunk, whose own checksums bz2 and lz4 verify. Raises ChunkError."""
+def chunk_content(data: bytes, compression: bytes, size: int | None) -> bytes | memoryview:
+    """The content of a chunk, whose own checksums bz2 and lz4 verify; of one without a size, what is left of it.
+
+    Raises ChunkError.
+    """
+    if compression not in (b"none", b"bz2", b"lz4"):
+        raise ChunkError(f"chunk compression {compression.decode(errors='replace')[:20]!r} is not read")
+    how = compression.decode().replace("none", "")
+    if size is None:
+        return decompressed_head(data, how) if how else data
     try:
-        match compression:
-            case b"none":
-                plain = data
-            case b"bz2":
-                plain = bz2.decompress(data)
-            case b"lz4":
-                plain = _lz4_frames(data)
-            case other:
-                raise ChunkError(f"chunk compression {other.decode(errors='replace')[:20]!r} is not read")
-    except (OSError, ValueError, RuntimeError, EOFError, MemoryError) as e:
-        raise ChunkError("chunk cannot be decompressed") from e
-    if len(plain) != size:
-        raise ChunkError("chunk is damaged")
-    return plain
-
-
-def _lz4_frames(data: bytes) -> bytes:
-    """All LZ4 frames in a row: recorders write one a chunk, rosbag ported to plain Python one a write."""
-    import lz4.frame  # type: ignore[import-untyped]
-
-    parts, rest = [], memoryview(data)
-    while rest:
-        part, read = lz4.frame.decompress(rest, return_bytearray=False, return_bytes_read=True)
-        parts.append(part)
-        rest = rest[read:]
-    return b"".join(parts)
-
-
-def decompressed_head(data: bytes, compression: bytes) -> bytes:
-    """What can be had of a chunk that is cut off: whole compressed blocks from its beginning."""
-    import lz4.frame
-
-    if compression == b"none":
-        return data
-    stream = bz2.BZ2Decompressor() if compression == b"bz2" else lz4.frame.LZ4FrameDecompressor()
-    plain = bytearray()
-    with suppress(OSError, RuntimeError, EOFError, MemoryError):  # what came before stays
-        for at in range(0, len(data), 4096):
-            plain += stream.decompress(data[at : at + 4096])
-    return bytes(plain)
+        return decompressed(data, how, size)
+    except ValueError as e:
+        raise ChunkError("chunk cannot be decompressed" if how else "chunk is damaged") from e

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import BinaryIO
 
 from vlmm_log.readers.bag.channels import Channel
-from vlmm_log.readers.bag.chunked import ChunkError
+from vlmm_log.readers.bag.chunked import ChunkError, read_at
 from vlmm_log.readers.bag.rosbag1_chunks import BagPlace, explored
 from vlmm_log.readers.bag.rosbag1_records import (
     CHUNK,
@@ -17,7 +17,6 @@ from vlmm_log.readers.bag.rosbag1_records import (
     MESSAGE,
     BagRecord,
     connection,
-    read_at,
     record_in,
 )
 from vlmm_log.types import Skipped

@@ -51,9 +51,12 @@ def _metadata(path: Path) -> tuple[Mapping[str, Any], list[Skipped]]:
     file = path / "metadata.yaml"
     if not file.is_file():
         return {}, [Skipped(0, file.name, "metadata.yaml is missing; parts were taken in the order of names")]
-    with suppress(OSError, ValueError, YAMLError, LookupError, TypeError):
-        told = YAML(typ="safe").load(file.read_text("utf-8"))["rosbag2_bagfile_information"]
-        if isinstance(told["relative_file_paths"], list) and told["relative_file_paths"]:
+    with suppress(OSError, ValueError, YAMLError, LookupError, TypeError, AttributeError, RecursionError):
+        text = file.read_text("utf-8")
+        merges = "<<" in text  # few keys, merged again and again, make any number
+        told = {} if merges else YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
+        names = told["relative_file_paths"]
+        if names and isinstance(names, list) and all(isinstance(name, str) for name in names):
             return told, []
     return {}, [Skipped(0, file.name, "metadata.yaml cannot be used; parts were taken in the order of names")]
 
@@ -65,7 +68,7 @@ def _files(path: Path, told: Mapping[str, Any], losses: list[Skipped]) -> list[P
         _check_one(path, present)
         return present
     files = []
-    for name in (PurePath(str(entry)).name for entry in told["relative_file_paths"]):
+    for name in (PurePath(entry).name for entry in told["relative_file_paths"]):
         spellings = (name, name.removesuffix(".zstd"), f"{name}.zstd")  # someone may have compressed or expanded it
         found = next((path / n for n in spellings if (path / n).is_file()), None)
         if found is None:

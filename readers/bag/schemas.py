@@ -6,6 +6,7 @@ import base64
 import binascii
 import importlib
 import json
+import re
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -71,7 +72,11 @@ def _refusing(reason: str) -> Decoder:
 
 
 # What generated code raises on bytes that are no such message, besides the library's own errors.
-GARBAGE = (ValueError, LookupError, struct.error, AssertionError, OverflowError, MemoryError, TypeError)
+GARBAGE = (
+    *(ValueError, LookupError, ArithmeticError, TypeError, AttributeError, AssertionError, struct.error, MemoryError),
+    *(RuntimeError, SyntaxError),  # a type that holds itself, a name of digits
+)
+MOST_UNROLLED = 4096  # texts or messages in an array of fixed length: generated code has a line for each
 
 
 def _ros_decoder(schema: Schema) -> Decoder:
@@ -84,7 +89,9 @@ def _ros_decoder(schema: Schema) -> Decoder:
     if schema.language and schema.definition.strip():
         store = get_typestore(Stores.EMPTY)
         try:
-            store.register(_completed(_definitions(schema), latest.fielddefs))
+            found = _definitions(schema)
+            _check_lengths(found)
+            store.register(_completed(found, latest.fielddefs))
         except (TypesysError, *GARBAGE):
             return _refusing("message definition cannot be read")
     if schema.type not in store.fielddefs:
@@ -107,12 +114,34 @@ def _definitions(schema: Schema) -> dict[str, Any]:
     text = schema.definition.decode()
     if schema.language in ("ros1msg", "ros2msg"):
         return dict(get_types_from_msg(text, schema.type))
+    _check_idl(text)
     if not text.startswith(f"{IDL_RULE}IDL: "):
         return dict(get_types_from_idl(text))
     found: dict[str, Any] = {}
     for part in text.split(IDL_RULE)[1:]:
         found |= get_types_from_idl(part.split("\n", 1)[1])
     return found
+
+
+def _check_idl(text: str) -> None:
+    """Raises ValueError for an IDL that computes: a shift makes numbers of any size, brackets take ages to parse."""
+    bare = re.sub(r'"(?:\\.|[^"\\])*"', "", text)
+    if "<<" in bare or re.search(r"\([^)]*\(", bare):
+        raise ValueError("an IDL that computes")
+
+
+def _check_lengths(found: Mapping[str, Any]) -> None:
+    """Raises ValueError for arrays of so many texts or messages that no code can be generated for them."""
+    from rosbags.interfaces import Nodetype
+
+    for _, fields in found.values():
+        for _, (kind, of) in fields:
+            if kind == Nodetype.ARRAY and of[1] > MOST_UNROLLED and not _is_number(of[0]):
+                raise ValueError(f"array of {of[1]} elements")
+
+
+def _is_number(desc: Any) -> bool:
+    return isinstance(desc[1], tuple) and desc[1][0] not in ("string", "wstring")
 
 
 def _completed(found: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
@@ -137,7 +166,7 @@ def _json_decoder(schema: Schema) -> Decoder:
     """Objects become namespaces; strings that the JSON schema calls base64 become bytes."""
     try:
         shape = json.loads(schema.definition) if schema.definition.strip() else {}
-    except ValueError:
+    except (ValueError, RecursionError):
         return _refusing("message definition cannot be read")
 
     def decode(raw: bytes) -> object:
@@ -155,7 +184,8 @@ def _namespace(value: Any, shape: Any) -> Any:
     shape = shape if isinstance(shape, dict) else {}
     match value:
         case dict():
-            fields = shape.get("properties") or {}
+            fields = shape.get("properties")
+            fields = fields if isinstance(fields, dict) else {}
             return SimpleNamespace(**{name: _namespace(v, fields.get(name)) for name, v in value.items()})
         case list():
             return [_namespace(v, shape.get("items")) for v in value]

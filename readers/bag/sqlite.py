@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -39,18 +40,30 @@ def open_sqlite(path: Path) -> SqliteBag:
 
 def _channels(db: sqlite3.Connection) -> dict[int, Channel]:
     """Topics by their id, with the definitions that newer bags hold."""
-    tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    listed = db.execute("SELECT name, CAST(sql AS TEXT) FROM sqlite_master WHERE type = 'table'")
+    tables = {name for name, sql in listed if _is_plain(sql)}
     if not {"topics", "messages"} <= tables:
         raise sqlite3.DatabaseError("it has no tables 'topics' and 'messages'")
     definitions: dict[str, tuple[str, bytes]] = {}
     if "message_definitions" in tables:
-        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
-        for name, language, text in db.execute(query):
-            definitions.setdefault(name, (language or "", (text or "").encode()))  # NULL in a damaged file
+        columns = _texts("topic_type", "encoding", "encoded_message_definition")
+        for name, language, text in db.execute(f"SELECT {columns} FROM message_definitions ORDER BY id"):  # noqa: S608
+            definitions.setdefault(name, (language, text.encode()))
     found = {}
-    for key, name, type_, encoding in db.execute("SELECT id, name, type, serialization_format FROM topics"):
-        found[int(key)] = channel(name, type_, encoding, *definitions.get(type_, ("", b"")))
+    columns = _texts("name", "type", "serialization_format")
+    for key, name, type_, encoding in db.execute(f"SELECT id, {columns} FROM topics WHERE typeof(id) = 'integer'"):  # noqa: S608
+        found[key] = channel(name, type_, encoding, *definitions.get(type_, ("", b"")))
     return found
+
+
+def _is_plain(sql: str | None) -> bool:
+    """Whether a table only holds values: views and generated columns could compute for ever, or gigabytes."""
+    return bool(sql) and str(sql).startswith("CREATE TABLE") and not re.search(r"\bAS\b", str(sql), re.IGNORECASE)
+
+
+def _texts(*columns: str) -> str:
+    """Columns as texts, whatever a damaged file holds in them."""
+    return ", ".join(f"ifnull(CAST({name} AS TEXT), '')" for name in columns)
 
 
 @dataclass(eq=False)

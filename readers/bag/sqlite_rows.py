@@ -15,7 +15,9 @@ import numpy as np
 from vlmm_log.types import InputError, Int64, Skipped
 
 _LIST = "SELECT id, topic_id, timestamp FROM messages WHERE id > ? ORDER BY id"
-_PROBE = "SELECT id FROM messages WHERE id > ? ORDER BY id LIMIT 1"
+_PROBE = f"{_LIST} LIMIT 1"
+OUR_FUNCTIONS = ("ifnull", "typeof")
+LAST_ROW = 2**63 - 1
 FARTHEST = 1 << 40  # rows; no bag has as many
 
 
@@ -95,9 +97,16 @@ def _connected(path: Path, how: str) -> sqlite3.Connection | None:
     with suppress(sqlite3.DatabaseError):
         db.execute("PRAGMA writable_schema = ON")  # without it, a file that is cut off is refused as a whole
         db.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        db.set_authorizer(_allowed)
         return db
     db.close()
     return None
+
+
+def _allowed(action: int, _: str | None, function: str | None, *__: str | None) -> int:
+    """A schema may compute: recursion without an end, functions that make gigabytes. Ours asks for none of it."""
+    computes = action in (sqlite3.SQLITE_RECURSIVE, sqlite3.SQLITE_FUNCTION) and function not in OUR_FUNCTIONS
+    return sqlite3.SQLITE_DENY if computes else sqlite3.SQLITE_OK
 
 
 def rows_of(db: sqlite3.Connection) -> Rows:
@@ -121,7 +130,10 @@ def rows_of(db: sqlite3.Connection) -> Rows:
         if following is None:
             break
         latest = following
-    table = np.concatenate(blocks) if blocks else np.empty((0, 3), np.int64)
+    table = np.concatenate(blocks) if blocks else np.empty((0, 4), np.int64)
+    if odd := int(table[:, 3].sum()):
+        losses.append(Skipped(0, f"{odd} rows", "row holds no integers"))
+        table = table[table[:, 3] == 0]
     order = np.lexsort((table[:, 0], table[:, 2]))
     return Rows(table[order, 0], table[order, 1], table[order, 2], tuple(losses))
 
@@ -135,23 +147,30 @@ class DamagedPageError(Exception):
 
 
 def _blocks(db: sqlite3.Connection, after: int) -> Iterator[Int64]:
-    block: list[tuple[int, int, int]] = []
+    block: list[tuple[int, int, int, int]] = []  # the last is 1 where a damaged file holds something else
     try:
         for row in db.execute(_LIST, (after,)):
-            block.append(tuple(int(value) for value in row))  # type: ignore[arg-type]
+            block.append((*row, 0) if all(type(value) is int for value in row) else (_number(row[0]), 0, 0, 1))
             if len(block) == 65536:
                 yield np.array(block, np.int64)
                 block = []
-    except (sqlite3.DatabaseError, TypeError, ValueError) as e:
-        raise DamagedPageError(np.array(block, np.int64).reshape(-1, 3)) from e
+    except sqlite3.DatabaseError as e:
+        raise DamagedPageError(np.array(block, np.int64).reshape(-1, 4)) from e
     if block:
         yield np.array(block, np.int64)
+
+
+def _number(value: object) -> int:
+    """An id; what is none is sorted behind all that are."""
+    return value if isinstance(value, int) else LAST_ROW
 
 
 def _behind(db: sqlite3.Connection, after: int) -> int | None:
     """The smallest id behind damage from which listing works again; None where nothing follows."""
 
     def works(row: int) -> bool:
+        if row > LAST_ROW:
+            return False
         try:
             return db.execute(_PROBE, (row,)).fetchone() is not None
         except sqlite3.DatabaseError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from bisect import bisect_left, insort
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -11,6 +12,7 @@ from vlmm_log.readers.stored import Kind, Shot
 from vlmm_log.types import Skipped
 
 LATENESS_NS = 2_000_000_000  # an image comes at most so much later than one with a later stamp
+MOST_WAITING = 2000  # of a kind; cameras take hundreds in the time that images may be late
 STRAGGLERS = 4  # images in a row that come later than that: their clock was set back
 Pair = tuple[Shot, Shot]
 PARTNER: dict[Kind, Kind] = {"rgb": "depth", "depth": "rgb"}
@@ -19,7 +21,7 @@ CALLED: dict[Kind, str] = {"rgb": "colour", "depth": "depth"}
 
 @dataclass
 class _Waiting:
-    """Images that are not decided yet, and decisions that are not in order yet."""
+    """Images that are not decided yet, by time, and decisions that are not in order yet."""
 
     tolerance_ns: int
     pending: dict[Kind, list[Shot]] = field(default_factory=lambda: {"rgb": [], "depth": []})
@@ -34,11 +36,16 @@ class _Waiting:
         if shot.stamp_ns in self.recent[shot.kind]:
             self.tell(Skipped(shot.stamp_ns, shot.what, "stamp repeated", _index(shot)))
             return
-        if shot.stamp_ns < self.latest.get(shot.kind, shot.stamp_ns):
+        latest = self.latest.get(shot.kind, shot.stamp_ns)
+        self.latest[shot.kind] = max(shot.stamp_ns, latest)
+        if len(self.pending[shot.kind]) >= MOST_WAITING:
+            reason = f"{MOST_WAITING} images wait for others at its time"
+            self.tell(Skipped(shot.stamp_ns, shot.what, reason, _index(shot)))
+            return
+        if shot.stamp_ns < latest:
             self.tell(Skipped(shot.stamp_ns, shot.what, "stamp out of order; the image was sorted in", _index(shot)))
         self.recent[shot.kind].append(shot.stamp_ns)
-        self.pending[shot.kind].append(shot)
-        self.latest[shot.kind] = max(shot.stamp_ns, self.latest.get(shot.kind, shot.stamp_ns))
+        insort(self.pending[shot.kind], shot, key=_stamp)
 
     def tell(self, item: Pair | Skipped) -> None:
         stamp = item.stamp_ns if isinstance(item, Skipped) else item[1].stamp_ns
@@ -56,26 +63,33 @@ class _Waiting:
 
     def decide(self, frontier: dict[Kind, int]) -> None:
         """Pair what is nearest to each other, as long as no image still to come could be nearer."""
-        while True:
-            best = {kind: [self._best(shot) for shot in self.pending[kind]] for kind in self.pending}
-            for i, (shot, choice) in enumerate(zip(self.pending["rgb"], best["rgb"], strict=True)):
-                if choice is None or not (self._known(shot, frontier) and self._known(choice, frontier)):
-                    continue
-                j = self.pending["depth"].index(choice)
-                if best["depth"][j] is shot:
-                    self.tell((self.pending["rgb"].pop(i), self.pending["depth"].pop(j)))
-                    break
-            else:
-                break
+        if not any(self._known(shots[0], frontier) for shots in self.pending.values() if shots):
+            return
+        while self._paired(frontier):
+            pass
         for kind, shots in self.pending.items():
-            for shot in [x for x in shots if self._known(x, frontier) and self._best(x) is None]:
+            alone = [x for x in shots if self._known(x, frontier) and self._best(x) is None]
+            reason = f"no {CALLED[PARTNER[kind]]} image within {self.tolerance_ns / 1e9:g} s"
+            for shot in alone:
                 shots.remove(shot)
-                reason = f"no {CALLED[PARTNER[kind]]} image within {self.tolerance_ns / 1e9:g} s"
                 self.tell(Skipped(shot.stamp_ns, shot.what, reason, _index(shot)))
+
+    def _paired(self, frontier: dict[Kind, int]) -> bool:
+        """Whether any two were paired: all that are each other's nearest, which none of the others changes."""
+        found = []
+        for shot in self.pending["rgb"]:
+            choice = self._best(shot) if self._known(shot, frontier) else None
+            if choice is not None and self._known(choice, frontier) and self._best(choice) is shot:
+                found.append((shot, choice))
+        for shot, choice in found:
+            self.pending["rgb"].remove(shot)
+            self.pending["depth"].remove(choice)
+            self.tell((shot, choice))
+        return bool(found)
 
     def ordered(self, until_ns: int) -> Iterator[Pair | Skipped]:
         """What is decided before a time and before everything undecided, by time."""
-        undecided = [shot.stamp_ns for shots in self.pending.values() for shot in shots]
+        undecided = [shots[0].stamp_ns for shots in self.pending.values() if shots]
         until_ns = min([until_ns, *(stamp - self.tolerance_ns for stamp in undecided)])
         while self.decided and self.decided[0][0] < until_ns:
             yield heapq.heappop(self.decided)[2]
@@ -85,8 +99,11 @@ class _Waiting:
 
     def _best(self, shot: Shot) -> Shot | None:
         """The nearest partner; of equally near ones the pair that comes first, as in ``associate``."""
-        near = [x for x in self.pending[PARTNER[shot.kind]] if abs(x.stamp_ns - shot.stamp_ns) <= self.tolerance_ns]
-        return min(near, key=lambda x: (abs(x.stamp_ns - shot.stamp_ns), x.stamp_ns), default=None)
+        others = self.pending[PARTNER[shot.kind]]
+        after = bisect_left(others, shot.stamp_ns, key=_stamp)
+        near = [(abs(x.stamp_ns - shot.stamp_ns), k, x) for k, x in enumerate(others[max(after - 1, 0) : after + 1])]
+        apart_ns, _, best = min(near, default=(self.tolerance_ns + 1, 0, shot))
+        return best if apart_ns <= self.tolerance_ns else None
 
 
 def synchronised(shots: Iterable[Shot | Skipped], tolerance_ns: int) -> Generator[Pair | Skipped]:
@@ -122,6 +139,10 @@ def _rest(waiting: _Waiting) -> Iterator[Pair | Skipped]:
     """What is to be had without images still to come."""
     waiting.decide(dict.fromkeys(PARTNER, 2**63))
     yield from waiting.ordered(2**63)
+
+
+def _stamp(shot: Shot) -> int:
+    return shot.stamp_ns
 
 
 def _index(shot: Shot) -> int | None:

@@ -32,7 +32,7 @@ def figures(folder: Path, fingerprint: str) -> dict[str, Any] | None:
         told = json.loads((folder / FIGURES).read_text("utf-8"))
         known = (told["format"], told["version"], told["hash"]) == (FORMAT, VERSION, fingerprint)
         whole = all((folder / name).stat().st_size == size for name, size in told["files"].items())
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     return dict(told) if known and whole else None
 

@@ -40,7 +40,7 @@ def read_manifest(out: Path) -> list[Outcome]:
         return [_outcome(task) for task in told["tasks"]]
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; give a folder that `vlmm-log batch` wrote") from e
-    except (ValueError, KeyError, TypeError) as e:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as e:
         raise InputError(f"{path}: is no manifest of a batch: {type(e).__name__}: {e}") from e
 
 
@@ -73,6 +73,6 @@ def _task(o: Outcome) -> dict[str, Any]:
 def _outcome(task: dict[str, Any]) -> Outcome:
     texts = {name: str(task[name] or "") for name in ("source", "error", "folder", "hash")}
     row = {} if task["pairs"] is None else {"pairs": int(task["pairs"])}
-    if Path(texts["folder"]).name != texts["folder"]:
+    if Path(texts["folder"]).name != texts["folder"] or texts["folder"] == "..":
         raise ValueError("a folder is no bare name")
     return Outcome(**texts, state=State(task["state"]), seconds=task["seconds"], row=row)

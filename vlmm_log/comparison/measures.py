@@ -30,6 +30,7 @@ from vlmm_log.entries import (
     Table,
     Value,
 )
+from vlmm_log.image_files import decoded
 from vlmm_log.types import EncodedImage
 
 SAME = Figures()
@@ -153,7 +154,7 @@ def _picture(a: Picture, b: Picture, atol: float, rtol: float) -> Figures:
     """Pictures are their pixels: the same ones in another file are the same."""
     if a.data == b.data:
         return SAME
-    x, y = (cv2.imdecode(np.frombuffer(p.data, np.uint8), cv2.IMREAD_COLOR) for p in (a, b))
+    x, y = (decoded(p.data, cv2.IMREAD_COLOR) for p in (a, b))
     if x is None or y is None:
         return Figures(0, 0, 1, told="cannot be decoded")
     if x.shape != y.shape:

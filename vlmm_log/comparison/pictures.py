@@ -14,6 +14,7 @@ from vlmm_log.comparison.difference import Difference, EntityDifference
 from vlmm_log.comparison.words import figure_words
 from vlmm_log.depth_pixels import metres
 from vlmm_log.entries import DepthMap, Labels, Picture, Raster, Value
+from vlmm_log.image_files import decoded
 from vlmm_log.pages.pictures import coloured, data_uri
 from vlmm_log.recording import Recording
 from vlmm_log.sinks.map_entries import id_color
@@ -85,7 +86,7 @@ def picture(entity: str, value: Value) -> UInt8 | None:
     """A value as (H, W, 3) BGR; None where it cannot be shown."""
     match value:
         case Picture(data, _):
-            found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+            found = decoded(data, cv2.IMREAD_COLOR)
             return None if found is None else np.asarray(found, np.uint8)
         case DepthMap():
             try:

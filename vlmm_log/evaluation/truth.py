@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from vlmm_log import se3
+from vlmm_log.image_files import decoded
 from vlmm_log.protocols import Segmenter
 from vlmm_log.types import Float32, Float64, Frame, FramePair, InputError, Int32, UInt8, freeze
 
@@ -80,7 +81,7 @@ class SimulatedTruth:
             self._cameras = _motions(_lines(folder / "poses.txt")[:, 1:])
             if not 0 < self._units < math.inf:
                 raise ValueError(f"depth_units_per_meter is {self._units}")
-        except (OSError, KeyError, ValueError, IndexError, TypeError, csv.Error) as e:
+        except (OSError, KeyError, ValueError, IndexError, TypeError, OverflowError, RecursionError, csv.Error) as e:
             told = f"no {e} in it" if isinstance(e, KeyError) else str(e)
             raise InputError(f"{folder}: no truth of a simulated scene: {told}; make it with vlmm-log simulate") from e
 
@@ -205,8 +206,7 @@ def _motions(rows: Float64) -> Float64:
 
 def _read(path: Path) -> UInt8:
     """A one-channel image of 8 or 16 bit."""
-    data = np.fromfile(path, np.uint8) if path.is_file() else np.zeros(0, np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    image = decoded(path.read_bytes(), cv2.IMREAD_UNCHANGED) if path.is_file() else None
     if image is None or image.ndim != 2:
         raise InputError(f"{path}: no image of one channel; make the truth again")
     return image  # type: ignore[return-value]

@@ -1,7 +1,7 @@
 """Occupancy grids rasterised from a map on demand, for planners on wheels. numpy only.
 
 The grid's frame is the world's turned so that z is up: x stays x; y is the world's z where "-y" is up, and
-its -z where "+y" is.
+its -z where "+y" is; where "-z" is, y is its -y. Where an axis of x is up, x is its y, and y its z or -z.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ R_GRID_WORLD: dict[str, Float64] = {  # by the world's axis that points up
     "+z": np.eye(3),
     "+y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
     "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    "-z": np.diag([1.0, -1.0, -1.0]),
+    "+x": np.array([[0, 1.0, 0], [0, 0, 1], [1, 0, 0]]),
+    "-x": np.array([[0, 1.0, 0], [0, 0, -1], [-1, 0, 0]]),
 }
 
 

@@ -18,7 +18,7 @@ VERSION = 1
 INT32_END, INT64_END = 2**31, 2**63
 LARGEST = float(np.finfo(np.float32).max)  # of a figure: columns hold them as float32
 MOST_POINTS = 2**48  # in a voxel; its sums of colours stay far inside int64
-WORLD_UP = ("+z", "+y", "-y")
+WORLD_UP = ("+z", "-z", "+y", "-y", "+x", "-x")
 FUSED = ("position", "extent", "o", "kappa", "rho", "confidence", "p_stat", "score", "speed")
 
 

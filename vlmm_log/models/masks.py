@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vlmm_log.image_files import decoded
 from vlmm_log.types import Frame, InputError, Int32, Int64, Segments
 
 MaskImage = NDArray[np.uint8] | NDArray[np.uint16]
@@ -145,9 +146,8 @@ def _stamp_ns(path: Path) -> int:
 
 def _decoded(path: Path) -> MaskImage | None:
     try:
-        data = np.fromfile(path, np.uint8)
-        return None if not data.size else cv2.imdecode(data, cv2.IMREAD_UNCHANGED)  # type: ignore[return-value]
-    except (OSError, cv2.error):
+        return decoded(path.read_bytes(), cv2.IMREAD_UNCHANGED)  # type: ignore[return-value]
+    except OSError:
         return None
 
 

@@ -21,6 +21,7 @@ from vlmm_log.settings import ObjectSettings
 from vlmm_log.types import Float32, Float64, Frame, InputError, Int64, Segments, UInt8
 
 DYNAMIC_SIDE = 640  # px, longer side where the network takes any size: what these networks are trained at
+LARGEST_SIDE = 4096  # px of an input: what a file states is reserved
 DYNAMIC_STEP = 32  # px, their coarsest stride
 PADDING = 114  # grey of the letterbox, as in training
 MOST = 300  # detections kept of a frame, as Ultralytics keeps
@@ -56,10 +57,12 @@ class Yolo:
         """Opens the file and runs it once. Raises InputError where it is no segmenter or its classes have no names."""
         self._path, self._s = path, s
         self._session = open_session(path)
-        self._input = self._session.get_inputs()[0]
+        self._input, metadata = _stated(self._session, path)
         if self._input.type not in KINDS or len(self._input.shape) != 4:
             raise _no_segmenter(path, f"its input is {self._input.type} {self._input.shape}")
-        self.names = class_names(self._session.get_modelmeta().custom_metadata_map.get("names", ""), path, s)
+        if not all(0 < n <= LARGEST_SIDE for n in self._input.shape[2:] if isinstance(n, int)):
+            raise _no_segmenter(path, f"its input is of {self._input.shape} px")
+        self.names = class_names(metadata, path, s)
         self._detect(np.zeros((480, 640, 3), np.uint8))
 
     def __call__(self, frame: Frame) -> Segments:
@@ -95,6 +98,25 @@ def open_session(path: Path) -> Any:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as e:
         raise InputError(f"{path}: not an ONNX network ({_first_line(e)}); export the weights again") from e
+
+
+@dataclass(frozen=True)
+class _Input:
+    """What a network takes."""
+
+    name: str
+    type: str  # a key of KINDS
+    shape: tuple[object, ...]  # 1, 3, height, width; a text or None where any will do
+
+
+def _stated(session: Any, path: Path) -> tuple[_Input, str]:
+    """The first input, and the class names in the metadata: a file's texts need be none."""
+    try:
+        first = session.get_inputs()[0]
+        names = str(session.get_modelmeta().custom_metadata_map.get("names", ""))
+        return _Input(first.name, first.type, tuple(first.shape)), names
+    except (UnicodeDecodeError, IndexError) as e:
+        raise _no_segmenter(path, f"its input is not described: {_first_line(e)}") from e
 
 
 def class_names(metadata: str, path: Path, s: ObjectSettings) -> tuple[str, ...]:
@@ -149,6 +171,8 @@ def decoded(outputs: Sequence[Float32], classes: int, s: ObjectSettings) -> tupl
         found = _dense(rows.T, classes, s)
     else:
         raise ValueError(f"its outputs {_shapes(outputs)} do not fit {classes} class names")
+    if not (np.isfinite(found.boxes).all() and np.isfinite(found.scores).all()):
+        raise ValueError("it finds boxes that are no numbers")
     if found.classes.size and not 0 <= found.classes.min() <= found.classes.max() < classes:
         raise ValueError(f"it finds class {found.classes.max()}, and there are {classes} class names")
     return found, prototypes

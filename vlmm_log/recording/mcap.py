@@ -7,19 +7,19 @@ import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from mcap.records import Channel, Metadata, Schema
 
 from vlmm_log.entries import Entry
-from vlmm_log.readers.bag.chunked import ChunkError, Record
+from vlmm_log.readers.bag.chunked import ChunkError, Record, read_at
 from vlmm_log.readers.bag.containers import MessageError
 from vlmm_log.readers.bag.mcap_index import McapIndex, from_summary, top_records
-from vlmm_log.readers.bag.mcap_records import MAGIC, contents, messages, parsed, read_at, uncompressed
+from vlmm_log.readers.bag.mcap_records import MAGIC, contents, messages, parsed, uncompressed
 from vlmm_log.readers.bag.schemas import Decoder, decoder, type_name
 from vlmm_log.readers.bag.schemas import Schema as Described
 from vlmm_log.recording.mcap_values import Parts, parts_with, value
-from vlmm_log.settings import Settings
+from vlmm_log.recording.properties import end_of, run_of
 from vlmm_log.types import InputError, Run, RunEnd
 
 RUN, END = "vlmm_log", "vlmm_log_end"  # metadata records
@@ -109,9 +109,9 @@ def open_mcap(path: Path) -> McapRecording:
     if RUN not in told or not channels:
         raise InputError(f"{path}: not a recording of vlmm-log process: it holds no settings or no entities")
     topics = {key: _topic(channel, index.schemas[channel.schema_id]) for key, channel in channels.items()}
-    end = _end(told[END]) if END in told else None
+    end = end_of(path, _of_json(path, told[END], told[END])) if END in told else None
     lost = ["its writer did not finish"] if end is None else [] if whole else ["it is cut off or damaged"]
-    return McapRecording(path, _run(path, told[RUN]), end, topics, lost)
+    return McapRecording(path, run_of(path, _of_json(path, told[RUN], ["has_poses"])), end, topics, lost)
 
 
 def _topic(channel: Channel, schema: Schema) -> _Topic:
@@ -154,22 +154,9 @@ def _tell(lost: list[str], text: str) -> None:
         lost.append(text)
 
 
-def _run(path: Path, about: dict[str, str]) -> Run:
+def _of_json(path: Path, about: dict[str, str], names: Collection[str]) -> dict[str, Any]:
+    """The metadata with some of them read as JSON."""
     try:
-        Settings.from_toml(about["settings"], str(path))
-        return Run(
-            about["source"],
-            about["reader"],
-            about["settings"],
-            json.loads(about["versions"]),
-            bool(json.loads(about["has_poses"])),
-            about["world_up"],
-            tuple(json.loads(about["notes"])),
-        )
-    except (KeyError, ValueError, TypeError) as e:
-        raise InputError(f"{path}: its metadata are not those of this version: {e}; process the log again") from e
-
-
-def _end(about: dict[str, str]) -> RunEnd:
-    told = {name: json.loads(text) for name, text in about.items()}
-    return RunEnd(told["complete"], told["input_hash"], told["frames"], told["pairs"])
+        return about | {name: json.loads(about[name]) for name in names if name in about}
+    except (ValueError, RecursionError) as e:
+        raise InputError(f"{path}: its metadata are no JSON: {str(e)[:80]}; process the log again") from e

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
-import struct
 import tempfile
 import warnings
 import weakref
@@ -17,13 +15,13 @@ from typing import Any
 import rerun.chunk
 
 from vlmm_log.entries import Entry, Look
+from vlmm_log.recording.properties import end_of, run_of
+from vlmm_log.recording.rrd_damage import STREAM_HEADER, first_damage, places
 from vlmm_log.recording.rrd_values import Cells, values
-from vlmm_log.settings import Settings
 from vlmm_log.types import InputError, Run, RunEnd
 
 RUN, END = "/__properties/vlmm", "/__properties/vlmm_end"
 FOOTER = b"RRF2FOOT"  # starts the last twelve bytes of a whole recording
-STREAM_HEADER, MESSAGE_HEADER = 12, struct.Struct("<QQ")  # kind and length of what follows
 TIMELINES = ("frame", "time")
 
 
@@ -93,13 +91,14 @@ def open_rrd(path: Path) -> Rrd:
     file, lost = _readable(path)
     whole = not lost
     try:
+        _check_sound(path, file)
         told: dict[str, dict[str, Any]] = {RUN: {}, END: {}}
         for chunk in _chunks(path, file, whole, [RUN, END]):
             for _, row in _rows(chunk):
                 told[chunk.entity_path].update({name: cell[0].as_py() for name, cell in row.cells.items()})
         if not told[RUN]:
             raise InputError(f"{path}: not a recording of vlmm-log process: it holds no settings")
-        run, end = _run(path, told[RUN]), RunEnd(**told[END]) if told[END] else None
+        run, end = run_of(path, told[RUN]), end_of(path, told[END]) if told[END] else None
         components = _components(path, file, whole)
     except BaseException:
         if file != path:
@@ -110,6 +109,13 @@ def open_rrd(path: Path) -> Rrd:
     if file != path:
         weakref.finalize(recording, file.unlink, missing_ok=True)
     return recording
+
+
+def _check_sound(path: Path, file: Path) -> None:
+    with file.open("rb") as f:
+        damage = first_damage(f, os.fstat(f.fileno()).st_size)
+    if damage is not None:
+        raise InputError(f"{path}: its message at byte {damage} is damaged; process the log again")
 
 
 def _components(path: Path, file: Path, whole: bool) -> dict[str, set[str]]:
@@ -194,27 +200,4 @@ def _last_message(f: Any, size: int) -> int:
     f.seek(0)
     if not f.read(STREAM_HEADER).startswith(b"RRF2"):
         return 0
-    at = STREAM_HEADER
-    while at + MESSAGE_HEADER.size <= size:
-        f.seek(at)
-        _, length = MESSAGE_HEADER.unpack(f.read(MESSAGE_HEADER.size))
-        if at + MESSAGE_HEADER.size + length > size:
-            break
-        at += MESSAGE_HEADER.size + length
-    return at
-
-
-def _run(path: Path, row: dict[str, Any]) -> Run:
-    try:
-        Settings.from_toml(row["settings"], str(path))
-        return Run(
-            row["source"],
-            row["reader"],
-            row["settings"],
-            json.loads(row["versions"]),
-            bool(row["has_poses"]),
-            row["world_up"],
-            tuple(json.loads(row["notes"])),
-        )
-    except (KeyError, ValueError, TypeError) as e:
-        raise InputError(f"{path}: its properties are not those of this version: {e}; process the log again") from e
+    return max((at + length for _, at, length in places(f, size)), default=STREAM_HEADER)

@@ -22,6 +22,9 @@ UP = {
     "+z": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
     "+y": rr.ViewCoordinates.RIGHT_HAND_Y_UP,
     "-y": rr.ViewCoordinates.RIGHT_HAND_Y_DOWN,
+    "-z": rr.ViewCoordinates.RIGHT_HAND_Z_DOWN,
+    "+x": rr.ViewCoordinates.RIGHT_HAND_X_UP,
+    "-x": rr.ViewCoordinates.RIGHT_HAND_X_DOWN,
 }
 
 
