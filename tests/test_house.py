@@ -36,7 +36,8 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/image_files.py": set(),
     "vlmm_log/recording": GROUND | {"recording", "readers", "pipeline", "maps"},
     "vlmm_log/pages": {"pages", "types"},
-    "vlmm_log/comparison": GROUND | {"comparison", "pages", "recording", "sinks", "version"},
+    "vlmm_log/comparison": GROUND | {"comparison", "drawing", "pages", "recording", "sinks", "version"},
+    "vlmm_log/drawing": GROUND | {"drawing", "sinks"},
     "vlmm_log/batches": {"batches", "types", "outputs"},
     "vlmm_log/calibration.py": {"types", "settings"},
     "vlmm_log/cache.py": set(),
@@ -45,7 +46,7 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/heap.py": set(),
     "vlmm_log/workers": GROUND | {"workers", "pipeline", "models", "sinks", "heap"},
     "vlmm_log/resuming": GROUND | {"resuming", "workers", "pipeline", "sinks"},
-    "vlmm_log/evaluation": GROUND | {"evaluation", "pages", "pipeline", "sinks", "version"},
+    "vlmm_log/evaluation": GROUND | {"drawing", "evaluation", "pages", "pipeline", "sinks", "version"},
 }
 FOREIGN = {  # what only some rooms may know
     "rerun": {"vlmm_log/comparison", "vlmm_log/sinks", "vlmm_log/recording"},

@@ -22,6 +22,7 @@ from vlmm_log.tables import (
     print_difference,
     print_evaluation,
     print_info,
+    print_rendered,
     print_run,
     print_simulated,
     printable,
@@ -716,6 +717,62 @@ def view(files: tuple[Path, ...], web: bool, port: int) -> None:
     if len(files) > 2:
         raise click.UsageError("view shows one recording or two")
     sys.exit(run(files, web=web, port=port, tell=lambda line: click.echo(line, err=True)))
+
+
+@cli.command(
+    epilog="Examples: vlmm-log render walking.rrd --frame 60 -o frame.png; "
+    "vlmm-log render walking.mcap --video walking.mp4 --panels rgb,d_m --start 1 --stop 3"
+)
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--frame", type=int, metavar="N", help="The frame, as the viewer and tables number it.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Picture to write: .png or .jpg.")
+@click.option("--video", type=click.Path(path_type=Path), help="Video to write: .mp4.")
+@click.option("--panels", metavar="NAME,...", help="Of them, in this order: rgb,depth,flow,d_m,validity,elements, ...")
+@click.option("--fps", type=float, help="Of the video; as the frames were taken if not given.")
+@click.option("--start", type=float, help="Seconds from the recording's first pair.")
+@click.option("--stop", type=float, help="Seconds from the recording's first pair.")
+@click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
+def render(
+    recording: Path,
+    frame: int | None,
+    out: Path | None,
+    video: Path | None,
+    panels: str | None,
+    fps: float | None,
+    start: float | None,
+    stop: float | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Draw a frame of a recording (.rrd, .mcap) as a picture, or its pairs as a video, without a viewer.
+
+    Further panels: instances, norm, sigma_z, p_stat, fb_error, p_moving, score, truth, outcome. Those that the
+    recording lacks are left out and told.
+    """
+    from vlmm_log.picturing import render as run
+
+    if (frame is None or out is None) == (video is None):
+        raise click.UsageError("give --frame N and -o F.png, or --video F.mp4")
+    if video is not None and (frame is not None or out is not None):
+        raise click.UsageError("--frame and -o are of a picture, --video is another call")
+    names = [] if panels is None else [name.strip() for name in panels.split(",")]
+    with progress("frames") as told:
+        done = run(
+            recording,
+            video or out or "",
+            frame=frame,
+            panels=names,
+            fps=fps,
+            start=start,
+            stop=stop,
+            force=force,
+            progress=told,
+        )
+    if as_json:
+        click.echo(json.dumps(done.report(), indent=2))
+    else:
+        print_rendered(done)
 
 
 def main() -> None:

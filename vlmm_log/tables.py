@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from vlmm_log.diagnosis import Diagnosis
     from vlmm_log.evaluation.results import Evaluation
     from vlmm_log.fleet import Batch
+    from vlmm_log.picturing import Rendered
     from vlmm_log.rendering import Simulated
     from vlmm_log.survey import Info
 
@@ -294,6 +295,18 @@ def print_converted(done: Converted) -> None:
     for line in (*done.notes, *(f"noted: {reason}, {n} times" for reason, n in sorted(done.skipped.items()))):
         console.print(f"  {printable(line)}", highlight=False, soft_wrap=True)
     console.print(f"wrote {printable(str(done.out))}", highlight=False, soft_wrap=True)
+
+
+def print_rendered(done: Rendered) -> None:
+    """What was drawn, and what is missing in it."""
+    from rich.console import Console
+
+    console = Console(markup=False)
+    for line in done.told:
+        console.print(f"noted: {printable(line)}", highlight=False, soft_wrap=True)
+    shown = f"frame {done.first}" if done.fps is None else f"{done.frames} frames at {done.fps:g}/s"
+    told = f"wrote {done.out}: {shown}, {done.size[0]} x {done.size[1]} px: {', '.join(done.panels)}"
+    console.print(printable(told), highlight=False, soft_wrap=True)
 
 
 def print_evaluation(e: Evaluation) -> None:
