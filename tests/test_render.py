@@ -16,9 +16,11 @@ from vlmm_log.drawing.panels import DEFAULT, PANELS
 from vlmm_log.drawing.sheet import laid_out
 from vlmm_log.drawing.video import Video, decoded_frames
 from vlmm_log.elements import CLASS_COLORS, MotionClass
-from vlmm_log.entries import EGO_UNRELIABLE, Entry, LogLine, Scalar
+from vlmm_log.entries import EGO_UNRELIABLE, Entry, LogLine, Picture, Scalar
 from vlmm_log.picturing import render
+from vlmm_log.recording import open_recording
 from vlmm_log.recording.frames import AHEAD, by_frame, pairs
+from vlmm_log.sinks.legend import LEGEND
 from vlmm_log.sinks.views import VALIDITY_COLORS
 from vlmm_log.types import InputError
 
@@ -87,6 +89,13 @@ def test_colours_of_the_legend_are_those_of_the_picture(recording, tmp_path):
     for reason, color in VALIDITY_COLORS.items():
         assert share_of(color, strip) > 0, reason
     assert share_of(VALIDITY_COLORS[0], seen(tmp_path / "a.png", "validity")) > 0.8
+
+
+def test_the_viewer_has_a_legend_of_all_classes(recording):
+    (entry,) = (e for e in open_recording(recording).entries([LEGEND]) if isinstance(e.value, Picture))
+    pixels = cv2.imdecode(np.frombuffer(entry.value.data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    for named, color in (*VALIDITY_COLORS.items(), *CLASS_COLORS.items()):
+        assert share_of(color, pixels) >= 100 / (pixels.shape[0] * pixels.shape[1]), named
 
 
 def test_both_containers_give_equal_pictures_of_all_that_they_hold(room, tmp_path):

@@ -30,11 +30,12 @@ from vlmm_log.outputs import claim, replacing
 from vlmm_log.protocols import Progress
 from vlmm_log.recording import Recording, is_recording, open_recording
 from vlmm_log.recording.frames import pairs
+from vlmm_log.sinks.legend import LEGEND
 from vlmm_log.sinks.map_entries import element_columns
 from vlmm_log.types import InputError
 
 DIGESTS, ELEMENTS, QUERIES = "digests", "world/map/elements", "world/map/query/"
-WORDS = "run"  # settings, versions and notes to read: compared as what they are
+WORDS = {"run", LEGEND}  # settings, versions and notes to read: compared as what they are
 EVERYTHING = Choice()
 EXACT = Tolerance()
 
@@ -214,7 +215,7 @@ def _of_recordings(
     if all(stamps) and not any(stamps[0][index] == stamps[1][index] for index in both):
         raise _unrelated(paths, "they share no frame")
     comparison = Comparison(tolerance)
-    known = (a.entities | b.entities) - {WORDS}
+    known = (a.entities | b.entities) - WORDS
     choice.check([*known, *told.COMPARED])
     tolerance.check(known)
     entities = {entity for entity in known if choice.takes(entity)}

@@ -9,14 +9,12 @@ from functools import partial
 import cv2
 import numpy as np
 
-from vlmm_log.drawing.legends import PAPER, bar, swatches, text_width, write
-from vlmm_log.drawing.pictures import NAMED, UNKNOWN, painted, picture
-from vlmm_log.elements import CLASS_COLORS
+from vlmm_log.drawing.pictures import NAMED, painted, picture
 from vlmm_log.entries import Boxes, Labels, Picture, Table, Value
 from vlmm_log.image_files import stated_size
+from vlmm_log.sinks.legend import CLASSES, PAPER, UNKNOWN, bar, directions, swatches, text_width, write
 from vlmm_log.sinks.map_entries import COLOR_OF, MAP, id_color, mask_classes
 from vlmm_log.sinks.pair_entries import IMAGE, LOOKS, OUTCOME, TRUTH
-from vlmm_log.sinks.views import flow_color
 from vlmm_log.types import UInt8
 
 Values = Mapping[str, Value]
@@ -26,8 +24,6 @@ Size = tuple[int, int]
 
 FLOW, RGB, BOXES, INSTANCES = (f"{IMAGE}/{name}" for name in ("flow/color", "rgb", "boxes", "instances"))
 ELEMENTS = f"{MAP}/elements"
-DIRECTIONS = {"right": (1, 0), "down": (0, 1), "left": (-1, 0), "up": (0, -1), "still": (0, 0)}
-CLASSES = [(kind.name.lower().replace("_", " "), color) for kind, color in CLASS_COLORS.items()]
 YOUNG = (UNKNOWN,) * 3  # an instance that is no element of the map yet
 
 
@@ -104,15 +100,10 @@ def _boxes(on: UInt8, values: Values, color: Callable[[int], tuple[int, ...]]) -
         write(on, told, x + 2, y - 1)
 
 
-def _flow_legend(width: int) -> UInt8:
-    shown = {name: flow_color(np.full((8, 8, 2), uv, np.float32))[0, 0] for name, uv in DIRECTIONS.items()}
-    return swatches([(name, tuple(color.tolist())) for name, color in shown.items()], width)
-
-
 def _field(title: str, path: str, unit: str = "", absent: str = "not scored") -> Panel:
     """A field of numbers in the range that the viewer shows, too."""
     entity = f"{IMAGE}/{path}"
-    return Panel(title, entity, partial(_plain, entity), legend=partial(bar, LOOKS[entity], unit, absent))
+    return Panel(title, entity, partial(_plain, entity), legend=partial(bar, LOOKS[entity], unit, absent=absent))
 
 
 def _classes(title: str, entity: str) -> Panel:
@@ -124,7 +115,7 @@ def _classes(title: str, entity: str) -> Panel:
 PANELS: Mapping[str, Panel] = {
     "rgb": Panel("colour, instances", RGB, _colour, (BOXES,)),
     "depth": _field("depth", "depth", " m", "unseen"),
-    "flow": Panel("optical flow: where to, as hue", FLOW, partial(_plain, FLOW), legend=_flow_legend),
+    "flow": Panel("optical flow: where to, as hue", FLOW, partial(_plain, FLOW), legend=directions),
     "d_m": _field("d_M: how many sigmas off the static world", "residual/d_m", " sigmas"),
     "validity": _classes("validity: why a pixel is not scored", f"{IMAGE}/validity"),
     "elements": Panel(

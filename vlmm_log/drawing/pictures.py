@@ -13,13 +13,12 @@ from vlmm_log.depth_pixels import metres
 from vlmm_log.entries import DepthMap, LabelNames, Labels, Picture, Raster, Value
 from vlmm_log.image_files import decoded
 from vlmm_log.sinks.content import VALIDITY_NAMES
+from vlmm_log.sinks.legend import COLORMAPS, UNKNOWN
 from vlmm_log.sinks.map_entries import id_color
 from vlmm_log.sinks.pair_entries import IMAGE, JUDGED_NAMES, LOOKS, Range
 from vlmm_log.types import UInt8
 
-COLORMAPS = {"viridis": cv2.COLORMAP_VIRIDIS, "magma": cv2.COLORMAP_MAGMA}
 NAMED: Mapping[str, LabelNames] = {f"{IMAGE}/validity": VALIDITY_NAMES, **JUDGED_NAMES}
-UNKNOWN = 96  # grey of a pixel without a number: neither end of a colour map
 NOTHING = (40, 40, 40)  # of a pixel of no instance
 PLAIN: Range = (0.0, 1.0, "viridis")
 TENSOR_PX = 16.0  # flow as bright as it gets

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vlmm_log.drawing.legends import DIM, LINE, PAPER, fitted, write
 from vlmm_log.drawing.panels import Panel, Size, Values
+from vlmm_log.sinks.legend import DIM, LINE, PAPER, fitted, write
 from vlmm_log.types import UInt8
 
 WIDTH = 1280  # px
