@@ -16,11 +16,11 @@ from vlmm_log.drawing.panels import DEFAULT, PANELS
 from vlmm_log.drawing.sheet import laid_out
 from vlmm_log.drawing.video import Video, decoded_frames
 from vlmm_log.elements import CLASS_COLORS, MotionClass
-from vlmm_log.entries import EGO_UNRELIABLE, Entry, LogLine, Picture, Scalar
+from vlmm_log.entries import EGO_UNRELIABLE, Entry, LogLine, Scalar
 from vlmm_log.picturing import render
 from vlmm_log.recording import open_recording
 from vlmm_log.recording.frames import AHEAD, by_frame, pairs
-from vlmm_log.sinks.legend import LEGEND
+from vlmm_log.sinks.legend import LEGEND, viewer_legend
 from vlmm_log.sinks.views import VALIDITY_COLORS
 from vlmm_log.types import InputError
 
@@ -92,8 +92,8 @@ def test_colours_of_the_legend_are_those_of_the_picture(recording, tmp_path):
 
 
 def test_the_viewer_has_a_legend_of_all_classes(recording):
-    (entry,) = (e for e in open_recording(recording).entries([LEGEND]) if isinstance(e.value, Picture))
-    pixels = cv2.imdecode(np.frombuffer(entry.value.data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    assert LEGEND in open_recording(recording).entities
+    pixels = viewer_legend()
     for named, color in (*VALIDITY_COLORS.items(), *CLASS_COLORS.items()):
         assert share_of(color, pixels) >= 100 / (pixels.shape[0] * pixels.shape[1]), named
 

@@ -70,8 +70,8 @@ def directions(width: int) -> UInt8:
     return swatches([(name, tuple(color.tolist())) for name, color in shown.items()], width)
 
 
-def viewer_legend() -> bytes:
-    """What the colours of a recording's views mean, as a PNG."""
+def viewer_legend() -> UInt8:
+    """What the colours of a recording's views mean, (H, W, 3) RGB."""
     width, height = VIEWER
     whole, top, left = np.full((height, width, 3), PAPER, np.uint8), 0, 70
     for name, strip in (
@@ -85,7 +85,7 @@ def viewer_legend() -> bytes:
         write(whole, name, 0, top, DIM)
         whole[top : top + len(strip), left:] = strip
         top += len(strip)
-    return cv2.imencode(".png", whole)[1].tobytes()
+    return np.ascontiguousarray(whole[..., ::-1])
 
 
 def bar(look: Range, unit: str, width: int, absent: str = "") -> UInt8:

@@ -84,7 +84,7 @@ class RerunFile:
             ),
         )
         rec.log("run", document(run), static=True)
-        rec.log(LEGEND, rr.EncodedImage(contents=viewer_legend(), media_type="image/png"), static=True)
+        rec.log(LEGEND, rr.Image(viewer_legend()), static=True)  # not encoded: no picture of the log's, a look
         rec.log("world", UP[run.world_up], static=True)
         self._file.flush()  # settings are on disk before the first pair, whatever comes
 
