@@ -47,6 +47,7 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/workers": GROUND | {"workers", "pipeline", "models", "sinks", "heap"},
     "vlmm_log/resuming": GROUND | {"resuming", "workers", "pipeline", "sinks"},
     "vlmm_log/evaluation": GROUND | {"drawing", "evaluation", "pages", "pipeline", "sinks", "version"},
+    "vlmm_log/store": {"store", "types", "protocols"},
 }
 FOREIGN = {  # what only some rooms may know
     "rerun": {"vlmm_log/comparison", "vlmm_log/sinks", "vlmm_log/recording"},
@@ -63,7 +64,9 @@ FOREIGN = {  # what only some rooms may know
     "onnxruntime": {"vlmm_log/models"},
     "open_clip": {"vlmm_log/models"},
     "sklearn": {"vlmm_log/models", "vlmm_log/evaluation"},
-    "urllib3": {"vlmm_log/models/endpoint.py"},  # a language model, where a URL is given
+    # a language model, where a URL is given; a file that was asked for by name
+    "urllib3": {"vlmm_log/models/endpoint.py", "vlmm_log/store/download.py"},
+    "pooch": {"vlmm_log/store"},
     "socket": {"vlmm_log/batches/cluster.py"},  # a Ray cluster, where one is named
     "pickle": {"vlmm_log/workers"},  # between processes of our own, never of a file
     "subprocess": {"vlmm_log/batches/local.py", "vlmm_log/viewing.py"},

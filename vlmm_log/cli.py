@@ -18,6 +18,8 @@ from vlmm_log.tables import (
     print_batch,
     print_batch_difference,
     print_converted,
+    print_dataset,
+    print_datasets,
     print_diagnosis,
     print_difference,
     print_evaluation,
@@ -773,6 +775,59 @@ def render(
         click.echo(json.dumps(done.report(), indent=2))
     else:
         print_rendered(done)
+
+
+@cli.group(name="datasets")
+def datasets_group() -> None:
+    """Recorded sequences to try this on, from their official sites. Nothing is fetched but by `get`."""
+
+
+@datasets_group.command(name="list", epilog="Example: vlmm-log datasets list")
+@click.option("--to", type=click.Path(path_type=Path), default=Path(), help="Folder to look in for what is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+def list_datasets(to: Path, as_json: bool) -> None:
+    """Say which sequences can be fetched, and what of them lies in the folder. No server is asked."""
+    from vlmm_log.datasets import datasets
+
+    shelved = datasets(to)
+    if as_json:
+        click.echo(json.dumps([x.report() for x in shelved], indent=2))
+    else:
+        print_datasets(shelved)
+
+
+@datasets_group.command(name="get", epilog="Example: vlmm-log datasets get freiburg3_walking_xyz")
+@click.argument("name")
+@click.option("--to", type=click.Path(path_type=Path), default=Path(), help="Folder to unpack it in; this one.")
+@click.option("--url", default="", help="Another place that has the same archive.")
+@click.option("--sha256", default="", metavar="HEX", help="What the archive's hash has to be.")
+@click.option("--keep-archive", is_flag=True, help="Keep the archive after unpacking.")
+@click.option("--force", is_flag=True, help="Replace an existing sequence once the new one is complete.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was fetched as JSON.")
+def get_datasets(name: str, to: Path, url: str, sha256: str, keep_archive: bool, force: bool, as_json: bool) -> None:
+    """Fetch the sequence NAME and unpack it. After a cut, the same command goes on.
+
+    Its licence is shown first. An archive that lies in the folder already is used.
+    """
+    from vlmm_log.datasets import dataset, get_dataset
+
+    offer = dataset(name)
+    click.echo(f"{offer.title}: {offer.page}\nlicence: {offer.licence}\nplease cite: {offer.cite}", err=True)
+    with progress("MB") as told:
+        got = get_dataset(
+            name,
+            to=to,
+            url=url,
+            sha256=sha256,
+            keep_archive=keep_archive,
+            force=force,
+            progress=told,
+            tell=lambda line: click.echo(printable(line), err=True),
+        )
+    if as_json:
+        click.echo(json.dumps(got.report(), indent=2))
+    else:
+        print_dataset(got)
 
 
 def main() -> None:

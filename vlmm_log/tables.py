@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from vlmm_log.compare_batches import BatchDifference
     from vlmm_log.comparison.difference import Difference
     from vlmm_log.conversion import Converted
+    from vlmm_log.datasets import Got, Shelved
     from vlmm_log.diagnosis import Diagnosis
     from vlmm_log.evaluation.results import Evaluation
     from vlmm_log.fleet import Batch
@@ -216,6 +217,37 @@ def print_batch_difference(d: BatchDifference) -> None:
     counts = Counter(log.verdict for log in d.logs)
     told = ", ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
     console.print(f"{len(d.logs)} logs: {told}", highlight=False, soft_wrap=True)
+
+
+def print_datasets(shelved: Sequence[Shelved]) -> None:
+    """What can be fetched, a line a sequence; then the terms of each collection."""
+    from rich.console import Console
+
+    console = Console(markup=False)
+    width = max(len(x.offer.name) for x in shelved)
+    for x in shelved:
+        size = f"{x.offer.size / 1e6:.0f} MB" if x.offer.size else "? MB"
+        state = f" [{x.state}{f': {x.size / 1e6:.0f} MB' if x.size else ''}]" if x.state else ""
+        moves = f" Moves: {x.offer.movers}." if x.offer.movers else ""
+        line = f"{x.offer.name:<{width}} {size:>8}  {x.offer.about}.{moves}{state}"
+        console.print(line, highlight=False, soft_wrap=True)
+    for title, page, licence in dict.fromkeys((x.offer.title, x.offer.page, x.offer.licence) for x in shelved):
+        console.print(f"{title} ({page}), licence: {licence}", highlight=False, soft_wrap=True)
+
+
+def print_dataset(got: Got) -> None:
+    """Where a sequence lies now, and how far it is known to be the right one."""
+    from rich.console import Console
+
+    lines = [f"SHA-256 {got.sha256}, as {got.source} says"]
+    if not got.source:
+        record = got.path.parent / f"{got.offer.file}.sha256"
+        lines = [f"SHA-256 {got.sha256}: nobody publishes one, so this download was trusted; kept in {record}"]
+    if got.outside:
+        lines.append(f"left out: {got.outside} members of the archive outside of {got.offer.folder}/")
+    lines.append(f"wrote {got.path}; next: vlmm-log info {got.path}")
+    for line in lines:
+        Console(markup=False).print(printable(line), highlight=False, soft_wrap=True)
 
 
 def print_info(told: Info) -> None:
