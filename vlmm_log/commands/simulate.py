@@ -83,8 +83,9 @@ def simulate(
 
 def print_simulated(done: Simulated) -> None:
     """What was rendered."""
+    names = len(set(done.visible))
     tell(
-        f"  {done.frames} frames of {done.scene}: {len(done.visible)} objects of {len(set(done.visible))} names are seen "
+        f"  {done.frames} frames of {done.scene}: {len(done.visible)} objects of {names} names are seen "
         f"of {done.things}, {len(done.movers)} move: {', '.join(done.movers)}",
         f"wrote {done.out}",
     )
