@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from importlib import metadata
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Literal, Protocol, cast, get_args
 
 from vlmm_log.outputs import claim, replacing
@@ -22,6 +21,7 @@ from vlmm_log.readers.stamps import limit_ns
 from vlmm_log.readers.stored import Kind, Shot, StoredLog
 from vlmm_log.ros.mcap import mcap_file
 from vlmm_log.ros.messages import Ros
+from vlmm_log.scratch import scratch
 from vlmm_log.settings import Settings
 from vlmm_log.types import InputError, Skipped
 from vlmm_log.version import __version__
@@ -156,7 +156,7 @@ def _check_outside(out: Path, inputs: list[Path]) -> None:
 def _check_tum_name(out: Path) -> None:
     """Refuse a name that makes other readers take the folder, which then read its poses in their own way."""
     full = out.resolve()
-    with TemporaryDirectory(prefix="vlmm-log-") as room:
+    with scratch() as room:
         probe = Path(room) / full.parent.name / full.name
         probe.mkdir(parents=True)
         for name in ("rgb.txt", "depth.txt"):

@@ -6,12 +6,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from vlmm_log.recording import Recording, is_mcap, is_recording, open_recording
+from vlmm_log.scratch import scratch
 from vlmm_log.types import InputError, RunEnd
 
 WEB_PORT, GRPC_PORT = 9090, 9876
@@ -90,7 +90,7 @@ def view(
 
     Raises InputError as ``prepare`` does.
     """
-    with tempfile.TemporaryDirectory(prefix="vlmm-log-") as folder:
+    with scratch() as folder:
         viewed = prepare(files, Path(folder), web=web, port=port)
         for line in viewed.told:
             tell(line)

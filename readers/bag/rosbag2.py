@@ -14,6 +14,7 @@ from typing import Any
 from vlmm_log.readers.bag.containers import Message, Topic, is_part
 from vlmm_log.readers.bag.parts import Part, expanded, opener
 from vlmm_log.readers.bag.runs import Run, merged, ranked
+from vlmm_log.scratch import scratch
 from vlmm_log.types import InputError, Int64, Skipped
 
 
@@ -24,23 +25,23 @@ def open_rosbag2(path: Path) -> JoinedBag:
     if not files:
         missing = ", ".join(loss.what for loss in losses[:5] if loss.what != "metadata.yaml") or ".db3 or .mcap files"
         raise InputError(f"{path}: no part of the bag is there; copy {missing} beside its metadata.yaml")
-    scratch = TemporaryDirectory(prefix="vlmm-log-")
+    folder = scratch()
     parts: list[Part] = []
     refused: list[InputError] = []
     for file in files:
         try:
-            plain, lost = expanded(file, scratch)
+            plain, lost = expanded(file, folder)
             parts.append(opener(plain)(plain))
             losses += lost
         except InputError as e:
             refused.append(e)
             losses.append(Skipped(0, file.name, "part of the bag cannot be opened"))
     if not parts:
-        scratch.cleanup()
+        folder.cleanup()
         raise refused[0]
     losses += _uncounted(told, parts)
     kinds = sorted({re.sub(r"^MCAP.*", "ROS 2 bag (mcap)", part.kind) for part in parts})
-    return JoinedBag(path, ", ".join(kinds), tuple(parts), tuple(losses), scratch)
+    return JoinedBag(path, ", ".join(kinds), tuple(parts), tuple(losses), folder)
 
 
 def _metadata(path: Path) -> tuple[Mapping[str, Any], list[Skipped]]:

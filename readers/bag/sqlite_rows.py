@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from vlmm_log.scratch import scratch
 from vlmm_log.types import InputError, Int64, Skipped
 
 _LIST = "SELECT id, topic_id, timestamp FROM messages WHERE id > ? ORDER BY id"
@@ -42,7 +43,7 @@ class Rows:
 
 def database(path: Path) -> Database:
     """The database of a file that may be cut off; one with a write-ahead log is read with it. Raises InputError."""
-    scratch = TemporaryDirectory(prefix="vlmm-log-")
+    folder = scratch()
     losses: list[Skipped] = []
     try:
         logged = _beside(path, "-wal")
@@ -52,16 +53,16 @@ def database(path: Path) -> Database:
         if logged and db is None:
             losses.append(Skipped(0, f"{path.name}-wal", "write-ahead log cannot be read; its messages are lost"))
         if db is None:
-            whole, lost = _whole_pages(path, scratch)
+            whole, lost = _whole_pages(path, folder)
             losses += lost
             db = _connected(whole, "mode=ro&immutable=1")
     except OSError as e:
-        scratch.cleanup()
+        folder.cleanup()
         raise InputError(f"{path}: cannot be read: {e}") from e
     if db is None:
-        scratch.cleanup()
+        folder.cleanup()
         raise InputError(f"{path}: is no SQLite database that can be read; give a .bag, .db3 or .mcap")
-    return Database(db, scratch, tuple(losses))
+    return Database(db, folder, tuple(losses))
 
 
 def _beside(path: Path, suffix: str) -> bool:

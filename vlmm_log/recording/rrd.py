@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 import warnings
 import weakref
 from collections.abc import Collection, Container, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import rerun.chunk
@@ -18,11 +18,13 @@ from vlmm_log.entries import Entry, Look
 from vlmm_log.recording.properties import end_of, run_of
 from vlmm_log.recording.rrd_damage import STREAM_HEADER, first_damage, places
 from vlmm_log.recording.rrd_values import Cells, values
+from vlmm_log.scratch import scratch
 from vlmm_log.types import InputError, Run, RunEnd
 
 RUN, END = "/__properties/vlmm", "/__properties/vlmm_end"
 FOOTER = b"RRF2FOOT"  # starts the last twelve bytes of a whole recording
 TIMELINES = ("frame", "time")
+COPY = "whole.rrd"
 
 
 @dataclass
@@ -88,7 +90,8 @@ class _Row:
 
 def open_rrd(path: Path) -> Rrd:
     """A recording of ``process``, also one that was cut off. Raises InputError where the file is none."""
-    file, lost = _readable(path)
+    lost, copy = _readable(path)
+    file = path if copy is None else Path(copy.name) / COPY
     whole = not lost
     try:
         _check_sound(path, file)
@@ -101,13 +104,13 @@ def open_rrd(path: Path) -> Rrd:
         run, end = run_of(path, told[RUN]), end_of(path, told[END]) if told[END] else None
         components = _components(path, file, whole)
     except BaseException:
-        if file != path:
-            file.unlink()
+        if copy is not None:
+            copy.cleanup()
         raise
     entities = frozenset(name for name in components if not name.startswith("__properties"))
     recording = Rrd(path, run, end, entities, whole, components if whole else {}, file, lost)
-    if file != path:
-        weakref.finalize(recording, file.unlink, missing_ok=True)
+    if copy is not None:
+        weakref.finalize(recording, copy.cleanup)
     return recording
 
 
@@ -166,35 +169,36 @@ def _rows(chunk: Any, wanted: Container[int] | None = None) -> Iterator[tuple[by
         yield row_id, _Row(times[k], frames[k], cells)
 
 
-def _readable(path: Path) -> tuple[Path, list[str]]:
-    """The file itself, or a copy without its torn last message; and what is missing. Raises InputError."""
+def _readable(path: Path) -> tuple[list[str], TemporaryDirectory[str] | None]:
+    """What is missing, and a folder with a COPY without the torn last message, if it has one. Raises InputError."""
     try:
         with path.open("rb") as f:
             size = os.fstat(f.fileno()).st_size
             f.seek(max(size - len(FOOTER) - 4, 0))
             if f.read().startswith(FOOTER):
-                return path, []
+                return [], None
             stop = _last_message(f, size)
             if stop == size:
-                return path, ["its writer did not finish"]
+                return ["its writer did not finish"], None
             if stop <= STREAM_HEADER:
                 raise InputError(f"{path}: not a Rerun recording, or cut off before its first message")
             f.seek(0)
-            return _copied(f, stop), [f"its writer did not finish; the last {size - stop} bytes are torn"]
+            return [f"its writer did not finish; the last {size - stop} bytes are torn"], _copied(f, stop)
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}") from e
 
 
-def _copied(f: Any, stop: int) -> Path:
+def _copied(f: Any, stop: int) -> TemporaryDirectory[str]:
     """The first bytes of a file, in a file of their own."""
-    with tempfile.NamedTemporaryFile(prefix="vlmm-log-", suffix=".rrd", delete=False) as copy:
-        try:
+    folder = scratch()
+    try:
+        with (Path(folder.name) / COPY).open("wb") as copy:
             shutil.copyfileobj(f, copy)
             copy.truncate(stop)
-        except OSError:
-            Path(copy.name).unlink()
-            raise
-    return Path(copy.name)
+    except OSError:
+        folder.cleanup()
+        raise
+    return folder
 
 
 def _last_message(f: Any, size: int) -> int:

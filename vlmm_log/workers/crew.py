@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import shutil
 import signal
 from collections import deque
 from collections.abc import Generator, Iterator
@@ -12,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -106,10 +106,10 @@ class Crew:
             hand.connection.close()
             for slot in (*hand.pairs, *hand.results):
                 slot.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._folder.cleanup()
 
     def _hired(self, k: int, s: Settings) -> Hand:
-        paths = [[self._folder / f"{kind}_{k}_{i}" for i in range(AHEAD)] for kind in ("pair", "look")]
+        paths = [[Path(self._folder.name) / f"{kind}_{k}_{i}" for i in range(AHEAD)] for kind in ("pair", "look")]
         pairs, results = ([Slot(path) for path in group] for group in paths)
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
@@ -124,7 +124,7 @@ class Crew:
         try:
             sizes = hand.pairs[slot].put(FramePair(_bare(pair.first), _bare(pair.second)))
         except OSError as e:
-            raise InputError(f"{self._folder}: no room for a pair of frames: {e.strerror or e}") from e
+            raise InputError(f"{self._folder.name}: no room for a pair of frames: {e.strerror or e}") from e
         self._send(hand, Job(slot, sizes))
 
     def _take(self, hand: Hand) -> Looked:
@@ -155,7 +155,7 @@ class Crew:
                 return message
             self._unready -= 1
             if not self._unready:  # all have the files open: nothing stays behind, even if we are killed
-                shutil.rmtree(self._folder, ignore_errors=True)
+                self._folder.cleanup()
 
 
 def _bare(frame: Frame) -> Frame:

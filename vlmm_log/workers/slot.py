@@ -6,11 +6,13 @@ import mmap
 import os
 import pickle
 import shutil
-import tempfile
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+
+from vlmm_log.scratch import scratch
 
 LINE = 64  # bytes: parts begin at multiples
 SHARED = Path("/dev/shm")  # noqa: S108  memory, where there is such a folder with room
@@ -19,10 +21,10 @@ Sizes = list[int]
 """Bytes of each part of a message: the pickled head, then its arrays."""
 
 
-def shared_folder(workers: int) -> Path:
+def shared_folder(workers: int) -> TemporaryDirectory[str]:
     """A new folder for slots: in memory if there is room, else where temporary files go."""
     roomy = SHARED.is_dir() and os.access(SHARED, os.W_OK) and shutil.disk_usage(SHARED).free > workers * ROOM
-    return Path(tempfile.mkdtemp(prefix="vlmm-log-", dir=SHARED if roomy else None))
+    return scratch(SHARED if roomy else None)
 
 
 class Slot:
