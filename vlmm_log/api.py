@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from functools import partial
 from importlib import metadata
 from importlib.util import find_spec
@@ -14,11 +14,11 @@ from vlmm_log.ask import Questions, parse
 from vlmm_log.maps import MAP_SUFFIXES, SavedMap, save_map
 from vlmm_log.models.load import load_models
 from vlmm_log.outputs import check_free, claim
-from vlmm_log.pipeline.run import expected_pairs
+from vlmm_log.pipeline.run import Tally, expected_pairs, keyframe_pairs
 from vlmm_log.processed import Processed
 from vlmm_log.protocols import Log, Progress, Sink
 from vlmm_log.readers import opened
-from vlmm_log.resuming.journal import Journal, journal_of
+from vlmm_log.resuming.journal import Journal, journal_of, placed
 from vlmm_log.settings import Settings
 from vlmm_log.sinks.many import Many
 from vlmm_log.sinks.recorder import Recorder, Recording, open_recording
@@ -75,7 +75,9 @@ def process(
         _check_map_name(map_target)
     outputs = [path for path in (target, mcap_target, map_target) if path is not None]
     journal_file = _journal_of(outputs, sinks) if resume else None
-    claim(outputs, force=force, inputs=inputs, unfinished=journal_file is not None and journal_file.exists())
+    ours = frozenset[Path]() if journal_file is None else placed(journal_file)
+    begun = journal_file is not None and journal_file.exists()
+    claim(outputs, force=force, inputs=inputs, unfinished=begun, ours=ours)
     _check_recording_names(target, mcap_target)
     if workers < 1:
         raise InputError(f"workers = {workers}: give 1 or more")
@@ -87,7 +89,10 @@ def process(
         looks = None if crew is None else crew.looks
         journal = None
         if journal_file is not None:
-            journal = stack.enter_context(Journal(journal_file, run, recorded=outputs[:1] != [map_target]))
+            recorded = outputs[:1] != [map_target]
+            journal = stack.enter_context(Journal(journal_file, run, outputs, recorded=recorded))
+            with closing(keyframe_pairs(log.frames(*window(s)), s, Tally())) as stream:
+                journal.check(stream)  # before what an earlier run recorded is replaced
             looks = partial(journal.looks, looks or partial(alone, models, s))
         recordings = _recordings(target, mcap_target, mcap_schema, run)
         recorders = [Recorder(recordings, dense=s.log.dense)] if recordings else []
@@ -104,7 +109,7 @@ def process(
         saved = SavedMap(watching.world.map, run, end, watching.origin_ns, watching.camera)
         written = [r.written for r in recordings if r.written]
         if map_target is not None and end.complete:
-            _save_map(map_target, saved, written, force=force)
+            _save_map(map_target, saved, written, force=force or journal is not None)
             written.append(map_target)
         if journal is not None and end.complete:
             journal.remove()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -37,10 +37,18 @@ def replacing(*paths: Path, force: bool) -> Iterator[list[Path]]:
         raise InputError(f"{paths[0]}: cannot be written: {e.strerror or e}; nothing was replaced") from e
 
 
-def claim(paths: Iterable[Path], *, force: bool, inputs: Iterable[Path] = (), unfinished: bool = False) -> None:
+def claim(
+    paths: Iterable[Path],
+    *,
+    force: bool,
+    inputs: Iterable[Path] = (),
+    unfinished: bool = False,
+    ours: Collection[Path] = (),
+) -> None:
     """Refuse before a long run what could not be written after it.
 
-    ``unfinished``: what an earlier run left as NAME.partial may be replaced. Raises InputError where a name is a
+    ``unfinished``: what an earlier run left as NAME.partial may be replaced; ``ours``: whole outputs that it had put in
+    place already. Raises InputError where a name is a
     folder, taken (without ``force``), an input, named twice, or in a place that takes no file.
     """
     read = {path.resolve() for path in inputs}
@@ -50,7 +58,7 @@ def claim(paths: Iterable[Path], *, force: bool, inputs: Iterable[Path] = (), un
             raise InputError(f"{str(path)!r}: names no file")
         partial = path.with_name(path.name + ".partial")
         try:
-            check_free(path, force)
+            check_free(path, force or path.resolve() in ours)
             check_free(partial, force or unfinished)
             where = {path.resolve(), partial.resolve()}
             there = next(parent for parent in path.resolve().parents if parent.exists())

@@ -127,4 +127,5 @@ def _close(sink: Sink, end: RunEnd, failure: BaseException | None) -> None:
     except Exception as e:
         if failure is None:
             raise
-        failure.add_note(f"then: {e}")
+        if str(e) != str(failure):
+            failure.add_note(f"then: {e}")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import TracebackType
 
@@ -17,7 +17,7 @@ from vlmm_log.sinks.digest import digest
 from vlmm_log.types import FramePair, InputError, Run, Skipped
 from vlmm_log.workers.worker import Looked, Looks
 
-VERSION = 1
+VERSION = 2
 OURS = int.from_bytes(b"VLMJ")  # SQLite's application id
 ALONE = """
 PRAGMA locking_mode = EXCLUSIVE;
@@ -28,7 +28,7 @@ COMMIT;
 TABLES = f"""
 BEGIN;
 PRAGMA application_id = {OURS};
-CREATE TABLE run (told TEXT NOT NULL);
+CREATE TABLE run (told TEXT NOT NULL, placing TEXT);
 CREATE TABLE pairs (turn INTEGER PRIMARY KEY, pair TEXT NOT NULL, xxh3 TEXT NOT NULL, looked BLOB);
 COMMIT;
 """
@@ -39,11 +39,24 @@ def journal_of(output: Path) -> Path:
     return output.with_name(output.name + ".journal")
 
 
+def placed(journal: Path) -> frozenset[Path]:
+    """Outputs that a run had begun to put in place when it was killed: what lies there is its own, and is made again."""
+    if not journal.is_file():
+        return frozenset()
+    try:
+        with closing(sqlite3.connect(f"{journal.absolute().as_uri()}?mode=ro", uri=True)) as rows:
+            names = json.loads(rows.execute("SELECT placing FROM run").fetchone()[0])
+        return frozenset(Path(name) for name in names)
+    except (sqlite3.Error, ValueError, TypeError):  # what is wrong with it is told when it is opened
+        return frozenset()
+
+
 class Journal:
     """The pairs of an earlier run of the same kind, and of this one. Raises InputError where it is of another kind."""
 
-    def __init__(self, path: Path, run: Run, *, recorded: bool) -> None:
+    def __init__(self, path: Path, run: Run, outputs: Sequence[Path], *, recorded: bool) -> None:
         self._path = path
+        self._outputs = [str(output.resolve()) for output in outputs]
         self.taken = 0  # pairs of an earlier run
         self._open = True
         told = {"version": VERSION, "source": run.source, "settings": run.settings, "libraries": run.versions}
@@ -77,8 +90,33 @@ class Journal:
     ) -> Generator[tuple[FramePair, Looked] | Skipped]:
         """What is known of the first pairs of a stream, and what ``others`` see of the rest, which is kept.
 
-        Raises InputError where the stream is not the one of which pairs are known, or the disk takes no more.
+        Once it ends, the outputs are about to be put in place, which is kept too. Raises InputError where the stream
+        is not the one of which pairs are known, or the disk takes no more.
         """
+        for item in self._recalled(stream):
+            self.taken += not isinstance(item, Skipped)
+            yield item
+        turn = self.taken
+        for of_pair in others(stream, make):
+            if not isinstance(of_pair, Skipped):
+                self._keep(turn, *of_pair)
+                turn += 1
+            yield of_pair
+        with self._disk():
+            self._rows.execute("UPDATE run SET placing = ?", (json.dumps(self._outputs),))
+
+    def check(self, stream: Iterator[FramePair | Skipped]) -> None:
+        """Read the first pairs of a stream. Raises InputError where it is not the one of which pairs are known."""
+        for _ in self._recalled(stream):
+            pass
+
+    def remove(self) -> None:
+        """Nothing is left to go on with."""
+        self._open = False
+        self._rows.close()
+        self._path.unlink(missing_ok=True)
+
+    def _recalled(self, stream: Iterator[FramePair | Skipped]) -> Iterator[tuple[FramePair, Looked] | Skipped]:
         for pair, looked in self._known():
             item = next(stream, None)
             while isinstance(item, Skipped):
@@ -87,20 +125,7 @@ class Journal:
             if item is None or _of_pair(item) != pair:
                 where = "it ends before" if item is None else f"other images or poses from frame {item.first.index} on"
                 raise InputError(f"{self._path}: of another log ({where}); remove it to start anew")
-            self.taken += 1
             yield item, looked
-        turn = self.taken
-        for of_pair in others(stream, make):
-            if not isinstance(of_pair, Skipped):
-                self._keep(turn, *of_pair)
-                turn += 1
-            yield of_pair
-
-    def remove(self) -> None:
-        """Nothing is left to go on with."""
-        self._open = False
-        self._rows.close()
-        self._path.unlink(missing_ok=True)
 
     def _known(self) -> Iterator[tuple[str, Looked]]:
         """Digest of each pair, and what it showed; up to what is damaged, which is looked at again."""
@@ -136,7 +161,7 @@ class Journal:
     def _check(self, told: dict[str, object]) -> None:
         row = self._rows.execute("SELECT told FROM run").fetchone()
         if row is None:
-            self._rows.execute("INSERT INTO run VALUES (?)", (json.dumps(told),))
+            self._rows.execute("INSERT INTO run (told) VALUES (?)", (json.dumps(told),))
             return
         before = json.loads(row[0])
         for name, value in told.items():

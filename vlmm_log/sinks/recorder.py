@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -50,7 +51,9 @@ def open_recording(path: Path, container: Callable[[Path], Container]) -> Record
         path.parent.mkdir(parents=True, exist_ok=True)
         return Recording(path, container(_partial(path)))
     except OSError as e:
-        raise InputError(f"{path}: cannot be written: {e}") from e
+        with suppress(OSError):
+            _partial(path).unlink()
+        raise InputError(f"{path}: cannot be written: {e.strerror or e}") from e
 
 
 class Recorder:
@@ -109,17 +112,19 @@ def _partial(path: Path) -> Path:
 
 
 def _finish(recording: Recording, rest: Iterable[Entry], end: RunEnd) -> None:
-    for entry in rest:
-        recording.container.put(entry)
-    recording.container.finish(end)
-    if not end.pairs:
-        recording.partial.unlink(missing_ok=True)
-    elif end.complete:
+    try:
+        for entry in rest:
+            recording.container.put(entry)
+        recording.container.finish(end)
+    finally:  # also of a full disk: what it took can be read
+        if end.pairs:
+            recording.written = recording.partial
+        else:
+            recording.partial.unlink(missing_ok=True)
+    if end.pairs and end.complete:
         recording.partial.replace(recording.path)
         recording.written = recording.path
-    else:
-        recording.written = recording.partial
 
 
-def _unwritable(recording: Recording, e: Exception) -> InputError:
-    return InputError(f"{recording.partial}: cannot be written, is the disk full? ({e})")
+def _unwritable(recording: Recording, e: OSError) -> InputError:
+    return InputError(f"{recording.partial}: cannot be written, is the disk full? ({e.strerror or e})")

@@ -11,7 +11,6 @@ from typing import Any, Literal, Protocol
 
 from vlmm_log.ros.mcap import LATCHED, Publication
 from vlmm_log.ros.messages import Ros
-from vlmm_log.types import InputError
 
 Storage = Literal["sqlite3", "mcap"]
 
@@ -42,7 +41,7 @@ class Rosbag:
 
 @contextmanager
 def ros1_bag(path: Path, ros: Ros) -> Iterator[Rosbag]:
-    """A .bag of format 2.0, uncompressed: not every ROS 1 reads the LZ4 of other writers."""
+    """A .bag of format 2.0, uncompressed: not every ROS 1 reads the LZ4 of other writers. Raises OSError."""
     from rosbags.rosbag1 import Writer, WriterError
 
     try:
@@ -50,12 +49,12 @@ def ros1_bag(path: Path, ros: Ros) -> Iterator[Rosbag]:
         with Writer(path) as writer:
             yield Rosbag(writer, ros)
     except WriterError as e:
-        raise InputError(f"{path}: cannot be written: {e}") from e
+        raise OSError(f"{e}") from e
 
 
 @contextmanager
 def ros2_folder(path: Path, ros: Ros, storage: Storage, about: Mapping[str, str]) -> Iterator[Rosbag]:
-    """A folder of metadata.yaml and one .db3 or .mcap, both with ``about``."""
+    """A folder of metadata.yaml and one .db3 or .mcap, both with ``about``. Raises OSError."""
     from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
     writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
@@ -65,7 +64,7 @@ def ros2_folder(path: Path, ros: Ros, storage: Storage, about: Mapping[str, str]
         with writer:
             yield Rosbag(writer, ros)
     except (WriterError, sqlite3.Error) as e:
-        raise InputError(f"{path}: cannot be written: {e}") from e
+        raise OSError(f"{e}") from e
 
 
 def _latching(ros: Ros) -> dict[str, Any]:

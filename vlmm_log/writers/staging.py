@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 from collections.abc import Iterable, Iterator
@@ -11,6 +12,8 @@ from pathlib import Path
 from vlmm_log.types import InputError
 
 LOGS = ("metadata.yaml", "rgb.txt")  # what the folders hold that may be replaced
+REPLACED = "replaced"
+HERE, EXCHANGE = -100, 2  # of renameat2
 
 
 def claim_folder(path: Path, inputs: Iterable[Path], *, force: bool) -> None:
@@ -44,10 +47,11 @@ def replacing_folder(path: Path) -> Iterator[Path]:
     staged = partial / path.resolve().name
     try:
         try:
+            _put_back(partial / REPLACED, path)
             _remove(partial)
             partial.mkdir(parents=True)
             yield staged
-            _put(staged, path, partial / "replaced")
+            _put(staged, path, partial / REPLACED)
         finally:
             _remove(partial)
     except OSError as e:
@@ -55,9 +59,14 @@ def replacing_folder(path: Path) -> Iterator[Path]:
 
 
 def _put(staged: Path, path: Path, aside: Path) -> None:
-    """Rename one folder to the place of another one, which is put aside, and back if that fails."""
+    """Rename one folder to the place of another one, in one step where the system can, so that a kill loses neither.
+
+    Elsewhere the other one is put aside, and back if that fails.
+    """
     if not path.exists():
         staged.replace(path)
+        return
+    if _exchanged(staged, path):
         return
     path.replace(aside)
     try:
@@ -65,6 +74,21 @@ def _put(staged: Path, path: Path, aside: Path) -> None:
     except OSError:
         aside.replace(path)
         raise
+
+
+def _exchanged(a: Path, b: Path) -> bool:
+    """Whether two folders bear each other's names now: Linux can do that."""
+    try:
+        renameat2 = ctypes.CDLL(None).renameat2
+    except (AttributeError, OSError):
+        return False
+    return bool(renameat2(HERE, os.fsencode(a), HERE, os.fsencode(b), EXCHANGE) == 0)
+
+
+def _put_back(aside: Path, path: Path) -> None:
+    """What a run put aside that was killed before it put another one in its place."""
+    if aside.exists() and not path.exists():
+        aside.replace(path)
 
 
 def _partial(path: Path) -> Path:
