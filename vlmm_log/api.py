@@ -98,7 +98,7 @@ def process(
         recorders = [Recorder(recordings, dense=s.log.dense)] if recordings else []
         told = None if progress is None else partial(_tell, progress, expected)
         questions = Questions(asked, models.embed, s.query, s.map, log.world_up)
-        watching = Watching(log, models, s, questions, by_parser, looks, crew)
+        watching = Watching(log, models, s, questions, by_parser, looks, crew, next(iter(inputs), None))
         try:
             end = watching.run(Many([summary, *sinks, *recorders]), told)
         except Exception as e:

@@ -27,6 +27,7 @@ from vlmm_log.outputs import claim, replacing
 from vlmm_log.pipeline.run import Tally, expected_pairs, keyframe_pairs
 from vlmm_log.protocols import Embedder, Log, Models, Progress
 from vlmm_log.readers import opened
+from vlmm_log.readers.lasting import lasting
 from vlmm_log.readers.stamps import limit_ns
 from vlmm_log.settings import Settings
 from vlmm_log.types import InputError, RunEnd, Skipped
@@ -95,7 +96,7 @@ def evaluate(
         planned = _planned(path, log, own, compare)
         shelf = None if folder is None else Shelf(places[k], log, reader, of_run)
         run = LogRun.start(bench, log, listed or People(models.segment), planned, baselines, shelf, force)
-        logs.append(_through(log, own, models, run, told))
+        logs.append(_through(path, log, own, models, run, told))
     if not bench.pixels:
         raise InputError(f"{paths[0]}: {_why_nothing(logs, truth)}")
     done = summary.evaluation(bench, title or ", ".join(e.name for e in logs), logs, s, used, references, judged_by)
@@ -211,14 +212,16 @@ class _OthersPrior:
         return TablePrior(self.embed, rest)(label)
 
 
-def _through(log: Log, s: Settings, models: Models, run: LogRun, tell: Callable[[int, int], None] | None) -> Evaluated:
+def _through(
+    path: Path, log: Log, s: Settings, models: Models, run: LogRun, tell: Callable[[int, int], None] | None
+) -> Evaluated:
     """One log, from its first pair to its last."""
     window = limit_ns(s.read.start_s), limit_ns(s.read.stop_s)
     expected = expected_pairs(log.count(*window), s.keyframes)
     tally, skipped, pairs = Tally(), Counter[str](), 0
     complete = False
     try:
-        with closing(keyframe_pairs(log.frames(*window), s, tally)) as stream:
+        with closing(keyframe_pairs(lasting(path, log.frames(*window)), s, tally)) as stream:
             for item in stream:
                 if isinstance(item, Skipped):
                     skipped[item.reason] += 1

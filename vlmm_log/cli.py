@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import traceback
+from contextlib import suppress
 
 import click
 
@@ -14,7 +15,7 @@ from vlmm_log.commands.datasets import datasets
 from vlmm_log.commands.diff import diff
 from vlmm_log.commands.doctor import doctor
 from vlmm_log.commands.evaluate import evaluate
-from vlmm_log.commands.exits import INTERRUPTED
+from vlmm_log.commands.exits import INTERRUPTED, UNHEARD, UNUSABLE
 from vlmm_log.commands.info import info
 from vlmm_log.commands.process import process
 from vlmm_log.commands.query import query
@@ -23,6 +24,15 @@ from vlmm_log.commands.simulate import simulate
 from vlmm_log.commands.view import view
 from vlmm_log.version import __version__
 
+NO_MEMORY = (
+    "failed to map segment",
+    "annot allocate",
+    "nable to allocate",
+    "new thread",
+    "nsufficient memory",
+    "os error 1",
+)
+"""What libraries say instead of raising MemoryError."""
 COMMANDS = (batch, convert, datasets, diff, doctor, evaluate, info, process, query, render, simulate, view)
 
 
@@ -38,34 +48,65 @@ for _command in COMMANDS:
 
 
 def main() -> None:
-    """Run the command line. Exit codes: 0 done, 1 the answer is no, 2 cannot be used, 130 interrupted."""
+    """Run the command line. Exit codes: 0 done, 1 the answer is no, 2 cannot be used, 130 interrupted, 141 unheard."""
     debug = "--debug" in sys.argv[1:]
+    _open_streams()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no sum takes more; idle threads would spin beside the work
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # a damaged image is told by us, once
+    os.environ.setdefault("JOBLIB_MULTIPROCESSING", "0")  # not needed, and it warns where /dev/shm is full
+    if not debug:
+        sys.unraisablehook = lambda _: None  # of half-made objects of libraries, after the error that is told
     try:
         cli.main(args=[a for a in sys.argv[1:] if a != "--debug"], prog_name="vlmm-log", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as e:
-        click.echo(e.format_message(), err=True)
-        sys.exit(2)
+        _end(e.format_message())
     except click.ClickException as e:
-        where = f"{e.ctx.command_path}: " if isinstance(e, click.UsageError) and e.ctx else "vlmm-log: "
-        click.echo(f"{where}{e.format_message()}", err=True)
-        sys.exit(2)
+        where = e.ctx.command_path if isinstance(e, click.UsageError) and e.ctx else "vlmm-log"
+        _end(f"{where}: {e.format_message()}")
     except click.exceptions.Abort:
         sys.exit(INTERRUPTED)
+    except SystemExit as e:
+        if isinstance(e.__context__, BrokenPipeError):  # click makes an answer of it
+            sys.exit(UNHEARD)
+        raise
     except Exception as e:  # noqa: BLE001  one line for the user, the traceback on request
-        from vlmm_log.types import InputError
-
         if debug:
-            traceback.print_exc()
-        elif isinstance(e, MemoryError):
-            click.echo(
-                f"vlmm-log: out of memory ({e}): give fewer --workers, or a window by --start and --stop", err=True
-            )
-        elif isinstance(e, InputError | OSError):
-            click.echo("; ".join([f"vlmm-log: {e}", *getattr(e, "__notes__", [])]), err=True)
-        else:
-            click.echo(
-                f"vlmm-log: internal error: {type(e).__name__}: {e}; run again with --debug and report it", err=True
-            )
-        sys.exit(2)
+            with suppress(OSError):
+                traceback.print_exc()
+            sys.exit(UNUSABLE)
+        _end("; ".join([f"vlmm-log: {_told(e)}", *getattr(e, "__notes__", [])]))
+
+
+def _told(e: Exception) -> str:
+    """An error in one line."""
+    from vlmm_log.types import InputError
+
+    match e:
+        case InputError():
+            return str(e)
+        case MemoryError():
+            short = True
+        case _:
+            short = any(words in str(e) for words in NO_MEMORY)
+    if short:
+        why = f" ({' '.join(str(e).split())[:200]})" if str(e) else ""
+        return f"out of memory{why}: give fewer --workers, or a window by --start and --stop"
+    if isinstance(e, OSError):
+        return str(e) if e.filename else f"cannot be printed: {e.strerror or e}"
+    return f"internal error: {type(e).__name__}: {' '.join(str(e).split())}; run again with --debug and report it"
+
+
+def _end(line: str) -> None:
+    """Say why, if anybody listens, and end."""
+    with suppress(OSError):
+        click.echo(line, err=True)
+    sys.exit(UNUSABLE)
+
+
+def _open_streams() -> None:
+    """Standard streams that the caller closed lead nowhere: else the next file that is opened takes their place."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            lowest = os.open(os.devnull, os.O_RDWR)
+            assert lowest == number
+            setattr(sys, name, os.fdopen(lowest, "w" if number else "r"))

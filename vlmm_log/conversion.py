@@ -17,6 +17,7 @@ from vlmm_log.protocols import Log, Progress
 from vlmm_log.readers import opened, recognise
 from vlmm_log.readers.assembly import parse_shift
 from vlmm_log.readers.images import ImageError, decode_rgb
+from vlmm_log.readers.lasting import lasting
 from vlmm_log.readers.stamps import limit_ns
 from vlmm_log.readers.stored import Kind, Shot, StoredLog
 from vlmm_log.ros.mcap import mcap_file
@@ -116,7 +117,7 @@ def convert(
     about = _about(log.name, reader, s)
     skipped: Counter[str] = Counter()
     with _writer(log, chain, kind, cast(Images, images), out, s, about) as writer:
-        _write_all(log, chain, writer, skipped, s, progress)
+        _write_all(next(iter(inputs), None), log, chain, writer, skipped, s, progress)
         _check_written(log.name, writer.counts, skipped)
     notes = (*log.notes, *(chain.notes if chain else ()), *writer.notes)
     return Converted(out, kind, dict(sorted(writer.counts.items())), skipped, notes)
@@ -225,6 +226,7 @@ def _writer(
 
 
 def _write_all(
+    path: Path | None,
     log: StoredLog,
     chain: Chain | None,
     writer: Writer,
@@ -234,7 +236,7 @@ def _write_all(
 ) -> None:
     expected = log.count(limit_ns(s.read.start_s), limit_ns(s.read.stop_s))
     done = 0
-    for event in timeline(log, chain, window_of(s.read)):
+    for event in lasting(path, timeline(log, chain, window_of(s.read))):
         lost = event if isinstance(event, Skipped) else writer.write(event)
         if lost is not None:
             skipped[lost.reason] += 1

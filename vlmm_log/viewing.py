@@ -85,10 +85,10 @@ def _beside(port: int) -> int:
 
 def view(
     files: Sequence[Path], *, web: bool = False, port: int = WEB_PORT, tell: Callable[[str], None] = lambda _: None
-) -> int:
-    """Show recordings until the viewer is closed; its exit code. ``tell`` hears what is missing of them.
+) -> None:
+    """Show recordings until the viewer is closed. ``tell`` hears what is missing of them.
 
-    Raises InputError as ``prepare`` does.
+    Raises InputError as ``prepare`` does, and where the viewer cannot be started or ends otherwise.
     """
     with scratch() as folder:
         viewed = prepare(files, Path(folder), web=web, port=port)
@@ -96,7 +96,10 @@ def view(
             tell(line)
         if web:
             tell(f"open http://127.0.0.1:{port}?url=rerun%2Bhttp://127.0.0.1:{_beside(port)}/proxy")
-        return _shown(viewed.command)
+        code = _shown(viewed.command)
+    if code:
+        how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        raise InputError(f"the viewer {how}; the recordings are as they were")
 
 
 def _shown(command: Sequence[str]) -> int:
@@ -106,7 +109,10 @@ def _shown(command: Sequence[str]) -> int:
         raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGTERM, stop)
-    viewer = subprocess.Popen(command)
+    try:
+        viewer = subprocess.Popen(command)
+    except OSError as e:
+        raise InputError(f"{command[0]}: the viewer cannot be started: {e.strerror or e}; reinstall rerun-sdk") from e
     try:
         return viewer.wait()
     except KeyboardInterrupt:

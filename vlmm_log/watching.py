@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
@@ -13,6 +14,7 @@ from vlmm_log.interrupt import Interruption
 from vlmm_log.pipeline.run import Tally, World, empty_world, keyframe_pairs, learn, step
 from vlmm_log.protocols import Log, Models, Moment, Observe, Sink
 from vlmm_log.queries import Answer
+from vlmm_log.readers.lasting import lasting
 from vlmm_log.readers.stamps import limit_ns
 from vlmm_log.settings import Settings
 from vlmm_log.sinks.many import Many, watched_by
@@ -37,6 +39,7 @@ class Watching:
     told: tuple[str, ...]  # by the query parser
     looks: Looks | None = None  # who looks at pairs, if others do
     crew: Crew | None = None  # of them, processes that cache features
+    source: Path | None = None  # where the log lies
     origin_ns: int = 0  # stamp of the first pair
 
     def __post_init__(self) -> None:
@@ -57,7 +60,7 @@ class Watching:
         """All pairs."""
         complete = False
         failure: BaseException | None = None
-        frames = self.log.frames(*window(self.s))
+        frames = lasting(self.source, self.log.frames(*window(self.s)))
         try:
             with (
                 threadpool_limits(1, user_api="blas"),  # no sum depends on how many cores there are

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
@@ -22,4 +21,4 @@ def view(files: tuple[Path, ...], web: bool, port: int) -> None:
 
     if len(files) > 2:
         raise click.UsageError("view shows one recording or two")
-    sys.exit(run(files, web=web, port=port, tell=lambda line: click.echo(line, err=True)))
+    run(files, web=web, port=port, tell=lambda line: click.echo(line, err=True))

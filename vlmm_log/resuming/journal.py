@@ -40,11 +40,11 @@ def journal_of(output: Path) -> Path:
 
 
 def placed(journal: Path) -> frozenset[Path]:
-    """Outputs that a run had begun to put in place when it was killed: what lies there is its own, and is made again."""
+    """Outputs that a run had begun to put in place when it was killed: what lies there is its own."""
     if not journal.is_file():
         return frozenset()
     try:
-        with closing(sqlite3.connect(f"{journal.absolute().as_uri()}?mode=ro", uri=True)) as rows:
+        with closing(sqlite3.connect(f"{journal.absolute().as_uri()}?mode=ro", timeout=0, uri=True)) as rows:
             names = json.loads(rows.execute("SELECT placing FROM run").fetchone()[0])
         return frozenset(Path(name) for name in names)
     except (sqlite3.Error, ValueError, TypeError):  # what is wrong with it is told when it is opened
