@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from vlmm_log.conversion import convert
     from vlmm_log.diagnosis import doctor
     from vlmm_log.fleet import batch
+    from vlmm_log.picturing import render
     from vlmm_log.readers import open_log
     from vlmm_log.rendering import simulate
     from vlmm_log.settings import Settings
@@ -32,6 +33,7 @@ __all__ = [
     "open_log",
     "process",
     "query",
+    "render",
     "simulate",
 ]
 
@@ -47,13 +49,16 @@ _HOME = {
     "open_log": "vlmm_log.readers",
     "process": "vlmm_log.api",
     "query": "vlmm_log.ask",
+    "render": "vlmm_log.picturing",
     "simulate": "vlmm_log.rendering",
 }
 
 
-def __getattr__(name: str) -> Any:  # so that a name costs its imports only when it is used
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    import importlib
+if not TYPE_CHECKING:  # else a type checker takes any name for one of ours
 
-    return getattr(importlib.import_module(_HOME[name]), name)
+    def __getattr__(name: str) -> Any:  # so that a name costs its imports only when it is used
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import importlib
+
+        return getattr(importlib.import_module(_HOME[name]), name)
