@@ -1,11 +1,14 @@
 # One target for each thing a person does. `make demo` and `make test` set up what they need.
 VENV ?= .venv
+PYTHON ?= python3
 PY := $(VENV)/bin/python
 
 .PHONY: demo test check bench twins doctor reproduce router fuzz picture house clean
 
 $(VENV)/.ready: pyproject.toml
-	python3 -m venv $(VENV)
+	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo \
+		"needs Python 3.11 or later with venv: apt-get install python3-venv, or make PYTHON=/path/to/python3.11"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install -q --upgrade pip
 	$(PY) -m pip install -q -e '.[dev]'
 	touch $@

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 GROUND = {"types", "background", "elements", "query_tree", "queries", "entries", "depth_pixels", "se3", "settings"}
-GROUND |= {"protocols", "calibration", "cache", "compiled", "rvl", "image_files"}
+GROUND |= {"protocols", "calibration", "cache", "compiled", "rvl", "image_files", "open3d_loading"}
 ROOF = {"api", "ask", "assessment", "compare", "compare_batches", "conversion", "diagnosis", "fleet", "rendering"}
 ROOF |= {"survey", "viewing", "processed", "picturing", "datasets"}
 ROOMS = {  # folder or file -> what of the project it may import
@@ -36,6 +36,7 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/sinks": GROUND | {"sinks", "ros"},
     "vlmm_log/depth_pixels.py": {"types", "entries", "image_files"},
     "vlmm_log/image_files.py": set(),
+    "vlmm_log/open3d_loading.py": {"types"},
     "vlmm_log/recording": GROUND | {"recording", "readers", "pipeline", "maps"},
     "vlmm_log/pages": {"pages", "types"},
     "vlmm_log/comparison": GROUND | {"comparison", "drawing", "pages", "recording", "sinks", "version"},
@@ -66,7 +67,7 @@ FOREIGN = {  # what only some rooms may know
     "xxhash": {"vlmm_log/sinks", "vlmm_log/recording"},
     "torch": {"vlmm_log/models"},
     "torchvision": {"vlmm_log/models"},
-    "open3d": {"vlmm_log/maps", "vlmm_log/simulation"},
+    "open3d": {"vlmm_log/open3d_loading.py"},
     "onnxruntime": {"vlmm_log/models"},
     "open_clip": {"vlmm_log/models"},
     "sklearn": {"vlmm_log/models", "vlmm_log/evaluation"},

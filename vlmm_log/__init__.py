@@ -54,9 +54,11 @@ _HOME = {
 }
 
 
-def __getattr__(name: str) -> Any:  # so that a name costs its imports only when it is used
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    import importlib
+if not TYPE_CHECKING:  # else a type checker takes any name for one of ours
 
-    return getattr(importlib.import_module(_HOME[name]), name)
+    def __getattr__(name: str) -> Any:  # so that a name costs its imports only when it is used
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import importlib
+
+        return getattr(importlib.import_module(_HOME[name]), name)
