@@ -8,7 +8,9 @@ from typing import Any
 
 from latex2mathml.converter import convert
 
-EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)  # as arithmatex leaves it
+EQUATION = re.compile(
+    r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL
+)  # as arithmatex leaves it
 
 
 def on_page_content(html: str, **_: Any) -> str:

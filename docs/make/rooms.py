@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator, Mapping
+from functools import cache
 from html import escape
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +22,7 @@ WIDTH, HEIGHT, GAP_X, GAP_Y, MARGIN, PASSAGE = 104, 34, 20, 60, 12, 24  # px
 Graph = Mapping[str, frozenset[str]]
 
 
+@cache
 def imports() -> dict[str, frozenset[str]]:
     """File or folder below vlmm_log -> those that it imports."""
     found: dict[str, set[str]] = {}
@@ -128,7 +130,7 @@ def _untangle(rows: list[list[str]], steps: list[tuple[str, str]]) -> None:
             for name in row:
                 joined = [place[b if a == name else a] for a, b in steps if name in (a, b)]
                 mean[name] = sum(joined) / len(joined)
-            row.sort(key=lambda name: (mean[name], name))  # noqa: B023  sorted here and now
+            row.sort(key=lambda name: (mean[name], name))
 
 
 def _line(way: list[str], middle: Mapping[str, float], top: Mapping[str, float]) -> str:

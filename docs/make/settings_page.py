@@ -26,9 +26,9 @@ gap = "0.1s"
 alpha = 0.01
 ```
 
-A file and `--set` change what the profile says; options of a command (`--gap`, `--flow`, ...) come last. A name that does
-not exist, a wrong type and a value out of range are errors that say what would be right. A recording, and every map file,
-holds all settings of its run.
+A file and `--set` change what the profile says; options of a command (`--gap`, `--flow`, ...) come last. A name that
+does not exist, a wrong type and a value out of range are errors that say what would be right. A recording, and every
+map file, holds all settings of its run.
 
 <!-- made by docs/make/settings_page.py from vlmm_log/settings.py: change it there -->
 """
@@ -48,12 +48,14 @@ def text() -> str:
 
 
 def _rows(knobs: Any, default: object, paper: object, prefix: str) -> Iterator[str]:
-    yield "| setting | default | paper | meaning | may be |"
-    yield "|---|---|---|---|---|"
+    yield "| setting | default | paper | meaning |"
+    yield "|---|---|---|---|"
     for f in knobs:
         a, b = written(getattr(default, f.name)), written(getattr(paper, f.name))
         other = "" if a == b else f"`{b}`"
-        cells = (f"`{prefix}{f.name}`", f"`{a}`", other, f.metadata["doc"], _allowed(f))
+        allowed = _allowed(f)
+        meaning = f"{f.metadata['doc']} ({allowed})" if allowed else f.metadata["doc"]
+        cells = (f"`{prefix}{f.name}`", f"`{a}`", other, meaning)
         yield f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
 
 
