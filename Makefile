@@ -26,9 +26,11 @@ house:  ## the import tree as the installed package has it, of links, for tools 
 	ln -s $(CURDIR)/vlmm_log/* .house/vlmm_log/
 	ln -s $(CURDIR)/readers $(CURDIR)/pipeline .house/vlmm_log/
 
-check: $(VENV)/.ready house  ## lint, format, types
+check: $(VENV)/.ready house  ## lint, format, spelling, dead code, types
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/codespell
+	$(VENV)/bin/vulture
 	cd .house && $(abspath $(VENV))/bin/mypy --config-file ../pyproject.toml vlmm_log
 
 twins: $(VENV)/.ready  ## the same frames from every container, and what reading costs (needs the real slice)

@@ -31,7 +31,6 @@ from vlmm_log.settings import ReadSettings, Settings
 from vlmm_log.types import Frame, InputError, Skipped
 
 Broken = Callable[[bytes, np.random.Generator], bytes]
-MOST_FRAMES = 20
 MOST_SKIPPED = 10_000
 
 

@@ -226,7 +226,7 @@ def test_help_is_light(tmp_path, args):
 
 
 def test_labels_cannot_steer_the_terminal():
-    from vlmm_log.tables import printable
+    from vlmm_log.commands.telling import printable
 
     assert printable("Stuhl \u6905 [bold]") == "Stuhl \u6905 [bold]"
     assert printable("a\x1b[2Jb\u202ec\n") == "a\\u001b[2Jb\\u202ec\\u000a"

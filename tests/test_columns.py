@@ -102,3 +102,12 @@ def test_large_values_go_at_once(tmp_path):
     rec.flush()
     assert len(read(tmp_path / "a.rrd")["large"][5].data) == 200_000
     rec.disconnect()
+
+
+def test_rows_lie_in_the_order_of_their_frames_also_where_some_are_too_large_to_wait(tmp_path):
+    rec, put = stream(tmp_path / "a.rrd")
+    for k in range(6):
+        put.put(Entry("x", Picture(bytes((1 << 18) if k % 3 == 2 else 9), "image/png"), 10 * k, k))
+    put.flush()
+    rec.disconnect()
+    assert list(read(tmp_path / "a.rrd")["x"]) == list(range(6))

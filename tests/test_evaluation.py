@@ -738,7 +738,7 @@ NAMES = ["[bold]x[/bold]", HOSTILE[:100], "a\u202eb", "$\\frac{$ & y"]
 
 @pytest.mark.parametrize("name", NAMES)
 def test_odd_names(little, tmp_path, name, capsys):
-    from vlmm_log.tables import print_evaluation
+    from vlmm_log.commands.evaluate import print_evaluation
 
     log = shutil.copytree(little, tmp_path / name.replace("/", "_"))
     labels = [f"1 {name}", "2 ball", f"3 {name}", "4 box"]

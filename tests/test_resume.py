@@ -227,11 +227,11 @@ def test_a_run_that_fails_before_its_first_pair_keeps_nothing(logs, tmp_path):
 
 def test_the_command_tells_how_to_go_on(logs, tmp_path):
     code = (
-        "import os, signal, vlmm_log.progress as p, contextlib\n"
-        "from vlmm_log import cli\n"
-        "cli.progress = lambda what: contextlib.nullcontext("
+        "import contextlib, os, signal, sys\n"
+        "from vlmm_log.cli import main\n"
+        "sys.modules['vlmm_log.commands.process'].progress = lambda what: contextlib.nullcontext("
         "lambda done, _: done == 2 and os.kill(os.getpid(), signal.SIGTERM))\n"
-        "cli.main()"
+        "main()"
     )
     command = [sys.executable, "-c", code, "process", str(logs / "posed"), "--rrd", "a.rrd", "--resume"]
     first = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)

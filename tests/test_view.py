@@ -45,8 +45,9 @@ def test_an_mcap_is_shown_as_the_recording_that_it_could_have_been(recordings, t
         "residual/norm",
         "residual/sigma_z",
     }  # here they are floats
+    units = {"depth"}  # its range is in the source's units there, in millimetres here
     named = {"instances"}  # the nameless have names of their own here: their numbers
-    assert looks <= {f"world/camera/image/{name}" for name in steps | named}
+    assert looks <= {f"world/camera/image/{name}" for name in steps | units | named}
 
 
 def test_two_recordings_are_merged(recordings, tmp_path):

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from vlmm_log.conversion import convert
     from vlmm_log.diagnosis import doctor
     from vlmm_log.fleet import batch
+    from vlmm_log.picturing import render
     from vlmm_log.readers import open_log
     from vlmm_log.rendering import simulate
     from vlmm_log.settings import Settings
@@ -32,6 +33,7 @@ __all__ = [
     "open_log",
     "process",
     "query",
+    "render",
     "simulate",
 ]
 
@@ -47,6 +49,7 @@ _HOME = {
     "open_log": "vlmm_log.readers",
     "process": "vlmm_log.api",
     "query": "vlmm_log.ask",
+    "render": "vlmm_log.picturing",
     "simulate": "vlmm_log.rendering",
 }
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from importlib.util import find_spec
@@ -16,15 +15,15 @@ from vlmm_log.maps import MAP_SUFFIXES, SavedMap, save_map
 from vlmm_log.models.load import load_models
 from vlmm_log.outputs import check_free, claim
 from vlmm_log.pipeline.run import expected_pairs
+from vlmm_log.processed import Processed
 from vlmm_log.protocols import Log, Progress, Sink
-from vlmm_log.queries import Answer
 from vlmm_log.readers import opened
 from vlmm_log.resuming.journal import Journal, journal_of
 from vlmm_log.settings import Settings
 from vlmm_log.sinks.many import Many
 from vlmm_log.sinks.recorder import Recorder, Recording, open_recording
 from vlmm_log.sinks.summary import Summary
-from vlmm_log.types import InputError, Run, RunEnd
+from vlmm_log.types import InputError, Run
 from vlmm_log.version import __version__
 from vlmm_log.watching import Watching, window
 from vlmm_log.workers.crew import Crew
@@ -32,19 +31,6 @@ from vlmm_log.workers.worker import alone
 
 MCAP_SCHEMAS = ("ros2", "foxglove")
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "scipy", "rerun-sdk")
-
-
-@dataclass(frozen=True)
-class Processed:
-    """What ``process`` leaves: where, and the figures of the run."""
-
-    run: Run
-    end: RunEnd
-    outputs: tuple[Path, ...]  # as they lie on disk: ``NAME.partial`` if the run was interrupted
-    summary: Summary
-    map: SavedMap
-    answers: tuple[Answer, ...]  # of the queries, over the whole map
-    resumed: int = 0  # pairs that an earlier run had looked at
 
 
 def process(

@@ -29,12 +29,13 @@ from vlmm_log.entries import Look, Table
 from vlmm_log.outputs import claim, replacing
 from vlmm_log.protocols import Progress
 from vlmm_log.recording import Recording, is_recording, open_recording
+from vlmm_log.recording.frames import pairs
+from vlmm_log.sinks.legend import LEGEND
 from vlmm_log.sinks.map_entries import element_columns
 from vlmm_log.types import InputError
 
-CAMERA, DIGESTS, ELEMENTS, QUERIES = "world/camera", "digests", "world/map/elements", "world/map/query/"
-WORDS = "run"  # settings, versions and notes to read: compared as what they are
-EVERY_PAIR = (CAMERA, DIGESTS, "stats/inlier_share", "stats/valid_share")
+DIGESTS, ELEMENTS, QUERIES = "digests", "world/map/elements", "world/map/query/"
+WORDS = {"run", LEGEND}  # settings, versions and notes to read: compared as what they are
 EVERYTHING = Choice()
 EXACT = Tolerance()
 
@@ -214,7 +215,7 @@ def _of_recordings(
     if all(stamps) and not any(stamps[0][index] == stamps[1][index] for index in both):
         raise _unrelated(paths, "they share no frame")
     comparison = Comparison(tolerance)
-    known = (a.entities | b.entities) - {WORDS}
+    known = (a.entities | b.entities) - WORDS
     choice.check([*known, *told.COMPARED])
     tolerance.check(known)
     entities = {entity for entity in known if choice.takes(entity)}
@@ -254,9 +255,8 @@ def _told(stream: Iterator[Match], expected: int, progress: Progress | None) -> 
 
 
 def _stamps(recording: Recording) -> dict[int, int]:
-    """Frame index -> time of the pairs that a recording holds, by what is small and of every pair."""
-    found = ((e.index, e.stamp_ns) for e in recording.entries(EVERY_PAIR))
-    return {index: stamp_ns for index, stamp_ns in found if index is not None and stamp_ns is not None}
+    """Frame index -> time of the pairs that a recording holds."""
+    return {index: pair.stamp_ns for index, pair in pairs(recording).items()}
 
 
 def _difference(

@@ -160,6 +160,10 @@ class Scalar:
     value: float
 
 
+EGO_UNRELIABLE = "ego_unreliable"
+"""How the line begins that tells of a pair whose camera motion is not to be trusted."""
+
+
 @dataclass(frozen=True)
 class LogLine:
     """What was left out, and why; what a model told."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from vlmm_log.api import Processed, process, versions
+from vlmm_log.api import process, versions
 from vlmm_log.ask import parse
 from vlmm_log.batches.content import content_digest, fingerprint
 from vlmm_log.batches.folders import claimed, figures, folder_name, staged, write_figures
@@ -20,10 +20,10 @@ from vlmm_log.batches.tasks import RECORDINGS, Outcome, Running, State, Task, Wo
 from vlmm_log.elements import MotionClass
 from vlmm_log.knobs import leaves, written
 from vlmm_log.models.weights import find_clip, find_raft
+from vlmm_log.processed import Processed
 from vlmm_log.protocols import Progress
 from vlmm_log.readers import recognise
 from vlmm_log.settings import Settings
-from vlmm_log.tables import run_report
 from vlmm_log.types import InputError
 
 
@@ -122,7 +122,7 @@ def _made(task: Task) -> Outcome:
         if not done.end.complete:
             raise InputError(f"{source}: interrupted")
         seconds = round(time.perf_counter() - began, 3)
-        closing_report = run_report(done) | {"outputs": sorted(path.name for path in done.outputs)}
+        closing_report = done.report() | {"outputs": sorted(path.name for path in done.outputs)}
         told = {"hash": whole, "made_of": parts, "seconds": seconds, "row": _row(done), "report": closing_report}
         write_figures(staging, told)
     return Outcome(task.source, State.DONE, "", folder.name, whole, seconds, _row(done))

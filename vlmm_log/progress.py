@@ -37,7 +37,7 @@ def _plain_lines(what: str, every_s: float = 5.0) -> Callable[[int, int], None]:
     def update(done: int, expected: int) -> None:
         nonlocal last
         now = time.monotonic()
-        if now - last >= every_s:
+        if done and now - last >= every_s:
             last = now
             rate = done / (now - began)
             left = max(expected - done, 0) / rate

@@ -1,6 +1,7 @@
 """The house by its imports: docs/rooms.svg, and the table of docs/architecture.md. python docs/make/rooms.py
 
-A room is a folder of modules. Single files that import no room are the ground, the others the roof.
+A room is a folder of modules. Single files that import no room are the ground; the others, and what imports them,
+are the roof.
 """
 
 from __future__ import annotations
@@ -53,11 +54,14 @@ def house() -> tuple[Graph, dict[str, list[str]]]:
     ground = set(files)
     while above := {name for name in ground if of[name] - ground}:
         ground -= above
-    place = {name: name if name in rooms else GROUND if name in ground else ROOF for name in of}
+    roof = files - ground
+    while joining := {name for name in rooms - roof if of[name] & roof}:
+        roof |= joining
+    place = {name: GROUND if name in ground else ROOF if name in roof else name for name in of}
     graph: dict[str, set[str]] = {}
     for name, imported in of.items():
         graph.setdefault(place[name], set()).update({place[other] for other in imported} - {place[name]})
-    listed = {GROUND: sorted(ground), ROOF: sorted(files - ground)}
+    listed = {GROUND: sorted(ground), ROOF: sorted(f"{name}/" if name in rooms else name for name in roof)}
     return {name: frozenset(others) for name, others in graph.items()}, listed
 
 
@@ -161,7 +165,7 @@ def table() -> str:
         imported = ", ".join(sorted(graph[name])) or "nothing of the project"
         rows.append(f"| `{name}` | {imported} |")
     told = [f"- *{name}*: {', '.join(f'`{file}`' for file in listed[name])}" for name in (ROOF, GROUND)]
-    return "\n".join([*rows, "", "Single files:", "", *told])
+    return "\n".join([*rows, "", "Roof and ground:", "", *told])
 
 
 def page(text: str) -> str:

@@ -18,7 +18,6 @@ SPREAD = 0.3  # estimates at several depths that differ by more are no ruler
 COARSE = 2.5  # stored values; finer steps may be rounding
 PLAUSIBLE_M = (0.15, 12.0)  # median depth of a log
 USUAL_M = 2.0
-USABLE = 0.5  # share of seen depth within read.depth_min_m and depth_max_m
 
 
 def check_depth_scale(case: Case) -> Told:

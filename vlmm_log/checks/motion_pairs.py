@@ -25,7 +25,6 @@ class MotionPair:
 
     probe: Probe
     T: Float64  # (4, 4) T_second_first
-    left_px: float  # median error that it leaves
 
 
 def motion_pairs(case: Case) -> list[MotionPair]:
@@ -37,7 +36,7 @@ def motion_pairs(case: Case) -> list[MotionPair]:
         T = fit(probe, case.log.camera.K, np.eye(4))
         left = error_px(probe, T, case.log.camera.K)
         if left < max(EXPLAINED_PX, 0.1 * probe.moved_px):
-            found.append(MotionPair(probe, T, left))
+            found.append(MotionPair(probe, T))
     return found
 
 

@@ -16,10 +16,10 @@ from vlmm_log.depth_pixels import metres
 from vlmm_log.entries import DepthMap, Entry, LabelNames, Labels, Raster, Scalar, Value
 from vlmm_log.recording import Recording
 from vlmm_log.sinks.map_entries import CLEAR
-from vlmm_log.sinks.pair_entries import IMAGE
+from vlmm_log.sinks.pair_entries import IMAGE, Range
 from vlmm_log.sinks.redrawn import Redrawn
 from vlmm_log.sinks.rerun import UP
-from vlmm_log.sinks.rerun_values import Range, RerunValues
+from vlmm_log.sinks.rerun_values import RerunValues
 from vlmm_log.sinks.rrd_file import RrdFile
 
 SIDES = ("A", "B")

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from vlmm_log.comparison.difference import Difference, EntityDifference
 from vlmm_log.comparison.words import figure_words
 from vlmm_log.depth_pixels import metres
+from vlmm_log.drawing.pictures import coloured, picture
 from vlmm_log.entries import DepthMap, Labels, Picture, Raster, Value
-from vlmm_log.image_files import decoded
-from vlmm_log.pages.pictures import coloured, data_uri
+from vlmm_log.pages.pictures import data_uri
 from vlmm_log.recording import Recording
-from vlmm_log.sinks.map_entries import id_color
 from vlmm_log.sinks.pair_entries import IMAGE
-from vlmm_log.sinks.rerun_values import LOOKS
 from vlmm_log.types import UInt8
 
 ENTITIES = (
@@ -34,8 +32,6 @@ ENTITIES = (
 )
 FRAMES = {"residual/d_m": 3}  # how many of the worst; one of others
 TOGETHER = 4  # entities shown at most
-TENSOR_PX = 16.0  # flow as bright as it gets
-DEPTH_M = 5.0
 
 
 @dataclass(frozen=True)
@@ -78,32 +74,8 @@ def _worst(e: EntityDifference, most: int) -> list[int]:
 
 def _at(recording: Recording, entity: str, frames: Collection[int]) -> Mapping[int, Value]:
     shown = (Picture, Raster, Labels, DepthMap)
-    entries = (e for e in recording.entries([entity]) if e.index in frames and isinstance(e.value, shown))
+    entries = (e for e in recording.entries([entity], frames) if e.index in frames and isinstance(e.value, shown))
     return {e.index: e.value for e in entries if e.index is not None}
-
-
-def picture(entity: str, value: Value) -> UInt8 | None:
-    """A value as (H, W, 3) BGR; None where it cannot be shown."""
-    match value:
-        case Picture(data, _):
-            found = decoded(data, cv2.IMREAD_COLOR)
-            return None if found is None else np.asarray(found, np.uint8)
-        case DepthMap():
-            try:
-                return coloured(metres(value), 0.0, DEPTH_M, cv2.COLORMAP_VIRIDIS)
-            except ValueError:
-                return None
-        case Raster(values, ()):
-            low, high, name = LOOKS.get(entity, (0.0, 1.0, "viridis"))
-            colors = {"turbo": cv2.COLORMAP_TURBO, "viridis": cv2.COLORMAP_VIRIDIS, "magma": cv2.COLORMAP_MAGMA}
-            return coloured(values, low, high, colors[name])
-        case Raster(values, ("u", "v")):
-            return coloured(np.hypot(*values.astype(np.float32)), 0.0, TENSOR_PX, cv2.COLORMAP_VIRIDIS)
-        case Labels(values):
-            table = np.array([(40, 40, 40), *(id_color(i)[::-1] for i in range(1, int(values.max()) + 1))], np.uint8)
-            return np.asarray(table[values], np.uint8)
-        case _:
-            return None
 
 
 def apart(a: Value, b: Value) -> UInt8 | None:

@@ -9,10 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from vlmm_log.drawing.pictures import coloured
 from vlmm_log.evaluation.plots import ap_bars, reliability, sweep
 from vlmm_log.evaluation.results import Evaluation, WorstFrame
 from vlmm_log.evaluation.scores import QUERIES
-from vlmm_log.pages.pictures import coloured, data_uri
+from vlmm_log.pages.pictures import data_uri
 from vlmm_log.pages.templates import rendered
 from vlmm_log.types import UInt8
 from vlmm_log.version import __version__

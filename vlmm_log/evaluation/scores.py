@@ -59,11 +59,6 @@ def prior_only(elements: Elements) -> Scores:
     return Scores(elements.rho, elements.rho, 1.0 - elements.rho)
 
 
-def at_random(n: int, rng: np.random.Generator) -> Scores:
-    """Ranks of chance."""
-    return Scores(rng.random(n), rng.random(n), rng.random(n))
-
-
 MOVABLE_FROM = 0.55  # truth: things of at least this movability can be moved
 
 

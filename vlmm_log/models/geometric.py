@@ -151,5 +151,8 @@ def joined(labels: Int32, inverse: Float32, flat: Bools) -> Int64:
 
 def _rms(sums: Float64) -> float:
     """Of the residuals, from the (4, 4) sums of products of (u, v, 1, w)."""
-    plane = np.linalg.solve(sums[:3, :3], sums[:3, 3])
+    try:
+        plane = np.linalg.solve(sums[:3, :3], sums[:3, 3])
+    except np.linalg.LinAlgError:  # all on one line, as a piece of a tiny image may be: it shows no plane
+        return float("inf")
     return float(np.sqrt(max(0.0, sums[3, 3] - plane @ sums[:3, 3]) / sums[2, 2]))

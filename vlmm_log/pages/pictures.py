@@ -3,24 +3,12 @@
 from __future__ import annotations
 
 import base64
-from typing import Any
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from vlmm_log.types import UInt8
 
 WIDTH = 320  # px
-
-
-def coloured(values: NDArray[Any], low: float, high: float, colormap: int) -> UInt8:
-    """Numbers (H, W) in colours (H, W, 3) BGR, NaN black."""
-    known = np.isfinite(values)
-    scaled = np.clip((np.where(known, values, low).astype(np.float32) - low) * (255 / (high - low)), 0, 255)
-    colors = cv2.applyColorMap(scaled.astype(np.uint8), colormap)
-    colors[~known] = 0
-    return np.asarray(colors, np.uint8)
 
 
 def data_uri(pixels: UInt8) -> str:

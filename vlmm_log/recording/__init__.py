@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Container, Iterator
 from pathlib import Path
 from typing import Protocol
 
@@ -55,8 +55,11 @@ class Recording(Protocol):
         """What could not be read so far, and why."""
         ...
 
-    def entries(self, entities: Collection[str]) -> Iterator[Entry]:
-        """The entries of some entities, as they stand in the file. Raises InputError where it cannot be read."""
+    def entries(self, entities: Collection[str], frames: Container[int] | None = None) -> Iterator[Entry]:
+        """The entries of some entities, as they stand in the file; of some frames, and what is of none.
+
+        Raises InputError where it cannot be read.
+        """
         ...
 
 

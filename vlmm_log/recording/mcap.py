@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Container, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -64,14 +64,14 @@ class McapRecording:
         """See Recording."""
         return tuple(self.lost)
 
-    def entries(self, entities: Collection[str]) -> Iterator[Entry]:
+    def entries(self, entities: Collection[str], frames: Container[int] | None = None) -> Iterator[Entry]:
         """See Recording."""
         wanted = {key: t for key, t in self.topics.items() if t.entity in entities and t.part != VIEW}
         parts: dict[tuple[str, int], Parts] = {}  # a value of several messages, as far as it was read
         with self.path.open("rb") as file:
             for record in (r for data in _chunks(file, self.lost) for r in messages(data)):
                 topic = wanted.get(record.channel)
-                if topic is None:
+                if topic is None or (frames is not None and record.sequence and record.sequence - 1 not in frames):
                     continue
                 try:
                     message = topic.decode(bytes(record.data))

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import warnings
 import weakref
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Container, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ class Rrd:
         """See Recording."""
         return tuple(self.lost)
 
-    def entries(self, entities: Collection[str]) -> Iterator[Entry]:
+    def entries(self, entities: Collection[str], frames: Container[int] | None = None) -> Iterator[Entry]:
         """See Recording."""
         wanted = [f"/{entity}" for entity in sorted(self.entities & frozenset(entities))]
         waiting: dict[tuple[str, bytes], _Row] = {}  # a row's components may lie in several chunks of a rewritten file
@@ -52,7 +52,7 @@ class Rrd:
         for chunk in _chunks(self.path, self.file, self.by_entity, wanted):
             entity = chunk.entity_path.removeprefix("/")
             whole = self.components.get(entity, set())
-            for row_id, row in _rows(chunk):
+            for row_id, row in _rows(chunk, frames):
                 part = waiting.pop((entity, row_id), None)
                 row = row if part is None else part.joined(row)
                 if chunk.is_static:
@@ -153,13 +153,15 @@ def _unreadable(path: Path, e: Exception) -> InputError:
     return InputError(f"{path}: cannot be read as a Rerun recording: {str(e)[-120:]}")
 
 
-def _rows(chunk: Any) -> Iterator[tuple[bytes, _Row]]:
+def _rows(chunk: Any, wanted: Container[int] | None = None) -> Iterator[tuple[bytes, _Row]]:
     batch = chunk.to_record_batch()
     names = batch.schema.names
     ids = batch.column("rerun.controls.RowId").to_pylist()
     frames, times = (batch.column(t).cast("int64").to_pylist() if t in names else [None] * len(ids) for t in TIMELINES)
     components = [(name, batch.column(name)) for name in names if name not in (*TIMELINES, "rerun.controls.RowId")]
     for k, row_id in enumerate(ids):
+        if wanted is not None and frames[k] is not None and frames[k] not in wanted:
+            continue
         cells = {name: cell for name, column in components if (cell := column[k].values) is not None}
         yield row_id, _Row(times[k], frames[k], cells)
 

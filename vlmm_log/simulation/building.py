@@ -6,7 +6,7 @@ import numpy as np
 
 from vlmm_log.simulation import materials as m
 from vlmm_log.simulation.materials import Material
-from vlmm_log.simulation.meshes import Mesh, box, cylinder, joined, moved, sheet, tube
+from vlmm_log.simulation.meshes import Mesh, box, cylinder, joined, moved, sheet
 from vlmm_log.simulation.shapes import Shape, assembled, put, shift, solid, turn
 from vlmm_log.simulation.things import Body, Thing
 from vlmm_log.types import Float64
@@ -89,15 +89,6 @@ def light_switch(rng: Rng) -> Shape:
     )
 
 
-def radiator(rng: Rng, width: float, height: float) -> Shape:
-    """Ribs."""
-    ribs = [
-        solid(box(0.05, 0.09, height), m.lacquer(rng, 0.8), x, -0.06, 0)
-        for x in np.arange(-width / 2, width / 2, 0.075)
-    ]
-    return assembled(*ribs)
-
-
 def board(width: float, depth: float, material: Material) -> Shape:
     """A shelf on the wall: its upper face at z = 0."""
     brackets = [solid(box(0.03, depth - 0.03, 0.03), material, x, -depth / 2, -0.06) for x in (-width / 3, width / 3)]
@@ -115,9 +106,3 @@ def wall_clock(rng: Rng) -> Shape:
     rim = put(solid(cylinder(0.16, 0.04), m.paint(rng)), turn("x", np.pi / 2))
     face = put(solid(cylinder(0.135, 0.006), m.printed(rng)), shift(0, -0.038) @ turn("x", np.pi / 2))
     return put(rim + face, shift(0, 0, 0.16))
-
-
-def towel_holder(rng: Rng) -> Shape:
-    """A rail with a towel over it."""
-    rail = tube([[-0.28, 0, 0], [-0.28, -0.07, 0], [0.28, -0.07, 0], [0.28, 0, 0]], 0.014)
-    return solid(rail, m.metal(rng, 0.7))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import rerun.blueprint as rrb
 
+from vlmm_log.sinks.legend import LEGEND
 from vlmm_log.sinks.pair_entries import IMAGE
 
 CALIBRATED = ("residual/p_moving",)
@@ -29,9 +30,7 @@ def default_blueprint(images: Sequence[str] = ()) -> rrb.Blueprint:
             "world/map/query/**",
         ],
     )
-    motion = rrb.Horizontal(
-        _image("d_M", "residual/d_m"), _objects(), _image("validity", "validity"), _image("flow", "flow/color")
-    )
+    motion = rrb.Horizontal(_objects(), _image("validity", "validity"), _image("flow", "flow/color"))
     noise = rrb.Horizontal(
         _image("sigma_z", "residual/sigma_z"),
         _image("p_stat", "residual/p_stat"),
@@ -41,6 +40,7 @@ def default_blueprint(images: Sequence[str] = ()) -> rrb.Blueprint:
     more = rrb.Horizontal(
         _image("depth", "depth"), _image("forward-backward error", "flow/fb_error"), _flow_arrows(), name="input"
     )
+    legend = rrb.Spatial2DView(name="legend", origin=LEGEND)
     few = [_image(path.rsplit("/", 1)[-1], path) for path in images]
     numbers = rrb.Tabs(
         rrb.StateTimelineView(name="elements: class, and moves or still", origin="world/map/elements"),
@@ -65,10 +65,10 @@ def default_blueprint(images: Sequence[str] = ()) -> rrb.Blueprint:
     )
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(space, rgb),
+            rrb.Horizontal(space, rgb, _image("d_M", "residual/d_m")),
             motion,
-            rrb.Horizontal(rrb.Tabs(noise, *few, more), numbers),
-            row_shares=[3, 2, 2],
+            rrb.Horizontal(rrb.Tabs(legend, noise, *few, more), numbers),
+            row_shares=[5, 5, 4],  # on a laptop, images are as wide as their views
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

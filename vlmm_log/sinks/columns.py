@@ -29,14 +29,17 @@ class Columns:
         self._held: dict[tuple[str, type], int] = {}  # bytes
 
     def take(self, entity: str, entry: Entry) -> bool:
-        """Whether the entry goes by columns; then it waits for its time."""
-        size = _size(entry.value)
-        if entry.stamp_ns is None or entry.index is None or size > SMALL:
+        """Whether the entry goes by columns; then it waits for its time.
+
+        One that is too large takes along those of its entity that wait, however long the run: rows lie nearly in order.
+        """
+        size, key = _size(entry.value), (entity, type(entry.value))
+        large = size > SMALL
+        if entry.stamp_ns is None or entry.index is None or (large and key not in self._rows):
             return False
-        key = (entity, type(entry.value))
         self._rows.setdefault(key, []).append(entry)
         self._held[key] = self._held.get(key, 0) + max(size, ROW)
-        if self._held[key] >= MOST:
+        if large or self._held[key] >= MOST:
             self._send(entity, self._rows.pop(key))
             del self._held[key]
         return True

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vlmm_log.elements import Sightings, Tracked, WorldMap
-from vlmm_log.entries import Column, Entry, LabelNames, LogLine, Scalar, StateNames, Table
+from vlmm_log.entries import EGO_UNRELIABLE, Column, Entry, LabelNames, LogLine, Scalar, StateNames, Table
 from vlmm_log.protocols import Moment, Result
 from vlmm_log.queries import Answer
 from vlmm_log.sinks import pair_entries as of_pair
@@ -63,7 +63,7 @@ def _of_pair(result: Result, pair: FramePair, *, dense: bool) -> Iterator[Named]
             yield from of_pair.of_ego(result)
             if not result.reliable:
                 share = f"{result.matches} matches, inlier share {result.inlier_share:.2f}"
-                yield _warning(f"ego_unreliable: {share}; do not trust this pair")
+                yield _warning(f"{EGO_UNRELIABLE}: {share}; do not trust this pair")
         case Motion():
             if not result.valid_share:
                 yield _warning("no pixel of this pair could be scored")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -21,6 +22,17 @@ JUDGED_NAMES: Mapping[str, LabelNames] = {  # of what only judged runs hold
     OUTCOME: LabelNames(
         tuple((int(o), o.name.lower().replace("_", " "), color) for o, color in views.OUTCOME_COLORS.items())
     ),
+}
+Range = tuple[float, float, Literal["viridis", "magma"]]
+LOOKS: Mapping[str, Range] = {  # range and colours of dense fields: told apart also by the colour-blind
+    f"{IMAGE}/depth": (0.0, 5.0, "viridis"),
+    f"{IMAGE}/residual/d_m": (0.0, 8.0, "magma"),
+    f"{IMAGE}/residual/norm": (0.0, 0.3, "magma"),
+    f"{IMAGE}/residual/sigma_z": (0.0, 0.1, "viridis"),
+    f"{IMAGE}/residual/p_stat": (0.0, 1.0, "viridis"),
+    f"{IMAGE}/flow/fb_error": (0.0, 2.0, "magma"),
+    f"{IMAGE}/residual/p_moving": (0.0, 1.0, "magma"),
+    f"{IMAGE}/score": (0.0, 8.0, "magma"),
 }
 D_M_STEP = FB_STEP = 2.0**-6  # sigmas, px
 P_MOVING_STEP = 2.0**-10  # most pixels are unlikely to move

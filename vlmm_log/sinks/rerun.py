@@ -10,6 +10,7 @@ import rerun as rr
 
 from vlmm_log.entries import Entry
 from vlmm_log.sinks.blueprint import CALIBRATED, default_blueprint
+from vlmm_log.sinks.legend import LEGEND, viewer_legend
 from vlmm_log.sinks.markdown import plain
 from vlmm_log.sinks.rerun_values import RerunValues
 from vlmm_log.sinks.rrd_file import RrdFile
@@ -83,6 +84,7 @@ class RerunFile:
             ),
         )
         rec.log("run", document(run), static=True)
+        rec.log(LEGEND, rr.Image(viewer_legend()), static=True)  # not encoded: no picture of the log's, a look
         rec.log("world", UP[run.world_up], static=True)
         self._file.flush()  # settings are on disk before the first pair, whatever comes
 

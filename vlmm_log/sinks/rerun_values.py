@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Any, Literal, assert_never
+from typing import Any, assert_never
 
 import numpy as np
 import pyarrow as pa
@@ -36,19 +36,9 @@ from vlmm_log.entries import (
 )
 from vlmm_log.sinks.columns import RVL, Columns, blobs, tensors
 from vlmm_log.sinks.map_entries import id_color
-from vlmm_log.sinks.pair_entries import IMAGE
+from vlmm_log.sinks.pair_entries import LOOKS, Range
 from vlmm_log.types import EncodedImage
 
-Range = tuple[float, float, Literal["turbo", "viridis", "magma"]]
-LOOKS: Mapping[str, Range] = {  # range and colours
-    f"{IMAGE}/residual/d_m": (0.0, 8.0, "turbo"),
-    f"{IMAGE}/residual/norm": (0.0, 0.3, "turbo"),
-    f"{IMAGE}/residual/sigma_z": (0.0, 0.1, "viridis"),
-    f"{IMAGE}/residual/p_stat": (0.0, 1.0, "viridis"),
-    f"{IMAGE}/flow/fb_error": (0.0, 2.0, "magma"),
-    f"{IMAGE}/residual/p_moving": (0.0, 1.0, "magma"),
-    f"{IMAGE}/score": (0.0, 8.0, "turbo"),
-}
 STATE_COLORS = {  # fused class, and what an element does at present
     **{kind.name.lower(): color for kind, color in CLASS_COLORS.items()},
     "still": (90, 90, 90),
@@ -98,6 +88,11 @@ class RerunValues:
 def _look(value: Value, look: Range) -> Any:
     """Range and colours of a dense field."""
     low, high, colors = look
+    if isinstance(value, DepthMap):
+        kind = rr.EncodedDepthImage if isinstance(value.stored, EncodedImage) else rr.DepthImage
+        return kind.from_fields(
+            colormap=colors, depth_range=[low * value.units_per_meter, high * value.units_per_meter]
+        )
     if isinstance(value, Steps):  # the media type here too, or the viewer warns of what it cannot guess
         steps = [low / value.step, high / value.step]
         return rr.EncodedDepthImage.from_fields(

@@ -1,0 +1,1 @@
+"""A module a command: its options, its one call, its closing words."""

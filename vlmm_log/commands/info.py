@@ -1,0 +1,68 @@
+"""``vlmm-log info``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from vlmm_log.commands.options import READING, SOURCE, added, as_settings
+from vlmm_log.commands.telling import console, known, printable, tell
+
+if TYPE_CHECKING:
+    from vlmm_log.settings import Settings
+    from vlmm_log.survey import Info
+
+
+@click.command(epilog="Example: vlmm-log info walking.bag")
+@SOURCE
+@added(*READING)
+@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+@as_settings
+def info(source: Path, as_json: bool, settings: Settings) -> None:
+    """Say what SOURCE holds: topics or lists, rates, sizes, intrinsics, poses, gaps."""
+    from vlmm_log.survey import info as run
+
+    told = run(source, settings=settings)
+    if as_json:
+        click.echo(json.dumps(told.report(), indent=2))
+    else:
+        print_info(told)
+
+
+def print_info(told: Info) -> None:
+    """What a log holds."""
+    from rich.table import Table
+    from rich.text import Text
+
+    streams = Table(title=Text(f"{printable(told.source)} ({told.reader})"), title_justify="left")
+    for name, side in (("", "left"), ("stream", "left"), ("type", "left"), ("count", "right"), ("Hz", "right")):
+        streams.add_column(name, justify=side, overflow="fold")  # type: ignore[arg-type]
+    streams.add_column("longest gap", justify="right")
+    for x in told.streams:
+        cells = (x.role, printable(x.name), printable(x.type), known(x.count), known(x.rate_hz, "{:.2f}"))
+        streams.add_row(*(Text(cell) for cell in (*cells, known(x.longest_gap_s, "{:.3f} s"))))
+    console().print(streams)
+    tell(*(f"  {line}" for line in _lines(told)))
+
+
+def _lines(told: Info) -> Iterator[str]:
+    if told.problem:
+        yield f"{told.span_s:.1f} s; gives no frames as it is: {told.problem}"
+    else:
+        yield f"about {told.frames} frames in {told.span_s:.1f} s"
+    if told.first is not None:
+        f = told.first
+        yield (
+            f"first frame {f.width}x{f.height} at {f.stamp_ns} ns, {f.depth_seen:.0%} of its pixels with depth, "
+            f"median {f.depth_median_m:.2f} m"
+        )
+    elif not told.problem:
+        yield "no frame could be read: `vlmm-log doctor` looks for the reason"
+    yield f"poses: {told.poses or 'none'}"
+    yield from told.notes
+    yield from (f"noted: {reason}, {count} times" for reason, count in sorted(told.skipped.items()))
+    yield from (f"for {role}, best first: {'; '.join(c)}" for role, c in told.candidates.items() if len(c) > 1)
