@@ -3,7 +3,7 @@ VENV ?= .venv
 PYTHON ?= python3
 PY := $(VENV)/bin/python
 
-.PHONY: demo test check bench twins doctor reproduce router fuzz picture house clean
+.PHONY: demo test check bench twins doctor reproduce router fuzz picture house pages docs clean
 
 $(VENV)/.ready: pyproject.toml
 	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo \
@@ -66,5 +66,13 @@ fuzz: $(VENV)/.ready-dev  ## broken files of every format, for eight minutes
 picture: demo  ## the README's picture, from the demo, by the headless viewer (needs Vulkan)
 	$(PY) examples/viewer_picture.py demo/room.rrd docs/viewer.png 12
 
+pages: $(VENV)/.ready  ## the pages that are made from the code: settings, and the rooms of the house
+	$(PY) docs/make/settings_page.py
+	$(PY) docs/make/rooms.py
+
+docs: pages  ## the documentation, in site/: open site/index.html
+	$(PY) -m pip install -q -e '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict
+
 clean:
-	rm -rf .house build dist demo *.egg-info
+	rm -rf .house build dist demo site *.egg-info

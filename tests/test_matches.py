@@ -5,7 +5,7 @@ import pytest
 
 from vlmm_log import se3
 from vlmm_log.pipeline import ego_kernels, flow_kernels
-from vlmm_log.pipeline.ego import Fit, _Grid
+from vlmm_log.pipeline.ego import Fit, _Grid, as_rows
 from vlmm_log.pipeline.matches import WINDOW, flow_covariance, flow_spread, local_depth_range, structure_tensor
 from vlmm_log.settings import NoiseSettings
 from worlds import random_matches
@@ -128,3 +128,18 @@ def test_msac_caps_what_an_outlier_costs():
     rows = np.concatenate([fit.T[:3, :3].ravel(), fit.T[:3, 3]]).astype(np.float32)[:, None]
     ego_kernels.msac(rows, grid.first, grid.second, inverse, np.float32(9), cost)
     assert cost[0] == pytest.approx(np.minimum(d2, 9).sum(), rel=1e-4)
+
+
+def test_msac_scores_every_hypothesis_as_the_textbook_does():
+    grid, fit = grid_and_fit()
+    inverse = grid.inverse_covariances(fit)  # full 3x3: all six of its numbers weigh
+    moves = [fit.T, se3.exp(np.array([0.004, -0.003, 0.002, 0.01, -0.02, 0.01])) @ fit.T, np.eye(4)]
+    cost = np.empty(3, np.float32)
+    ego_kernels.msac(
+        np.ascontiguousarray(as_rows(np.array(moves)).T), grid.first, grid.second, inverse, np.float32(9), cost
+    )
+    xx, xy, xz, yy, yz, zz = inverse.astype(float)
+    M = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    for T, told in zip(moves, cost, strict=True):
+        miss = grid.second - (T[:3, :3] @ grid.first + T[:3, 3:])
+        assert told == pytest.approx(np.minimum(np.einsum("in,ijn,jn->n", miss, M, miss), 9).sum(), rel=1e-4)

@@ -1,6 +1,7 @@
 """The map: independent of order, merging exactly; fusion as printed."""
 
 from itertools import permutations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -232,3 +233,19 @@ def test_speed_is_of_the_pairs_that_moved():
 def test_the_label_is_the_one_with_most_votes():
     e = Evidence(1, {"tv": 900, "laptop": 1800, "cup": 1800}, observations(1), np.zeros(2, np.float32), 400, 0)
     assert e.label == "cup"
+
+
+def test_still_points_are_those_of_their_pixels():
+    depth = np.random.default_rng(5).uniform(1, 3, (24, 40)).astype(np.float32)
+    rgb = np.arange(24 * 40 * 3, dtype=np.uint8).reshape(24, 40, 3)
+    K = np.array([[30.0, 0, 19], [0, 31, 11], [0, 0, 1]])
+    first = SimpleNamespace(depth=depth, rgb=rgb, K=K)
+    d_m = np.where(np.arange(40) < 20, 1.0, 9.0).astype(np.float32) * np.ones((24, 1), np.float32)
+    d_m[8, 8] = np.nan
+    still = wm.still_points(SimpleNamespace(first=first), SimpleNamespace(d_m=d_m, tau_px=3.0))
+    expected = [(v, u) for v in (0, 8, 16) for u in (0, 8, 16) if (v, u) != (8, 8)]
+    assert still.points.shape == (3, len(expected))
+    for (v, u), point, color in zip(expected, still.points.T, still.colors, strict=True):
+        z = float(depth[v, u])
+        assert point == pytest.approx([(u - 19) / 30 * z, (v - 11) / 31 * z, z], rel=1e-6)
+        assert (color == rgb[v, u]).all()

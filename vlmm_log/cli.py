@@ -9,11 +9,13 @@ import traceback
 import click
 
 from vlmm_log.commands.batch import batch
+from vlmm_log.commands.completion import completion
 from vlmm_log.commands.convert import convert
 from vlmm_log.commands.datasets import datasets
 from vlmm_log.commands.diff import diff
 from vlmm_log.commands.doctor import doctor
 from vlmm_log.commands.evaluate import evaluate
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import INTERRUPTED
 from vlmm_log.commands.info import info
 from vlmm_log.commands.process import process
@@ -23,10 +25,19 @@ from vlmm_log.commands.simulate import simulate
 from vlmm_log.commands.view import view
 from vlmm_log.version import __version__
 
-COMMANDS = (batch, convert, datasets, diff, doctor, evaluate, info, process, query, render, simulate, view)
+COMMANDS = (batch, completion, convert, datasets, diff, doctor, evaluate, info, process, query, render, simulate, view)
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=examples(
+        "vlmm-log datasets get freiburg3_walking_xyz",
+        "vlmm-log info rgbd_dataset_freiburg3_walking_xyz",
+        "vlmm-log process rgbd_dataset_freiburg3_walking_xyz --rrd walking.rrd",
+        "vlmm-log query walking.rrd 'things that moved'",
+        "vlmm-log view walking.rrd",
+    ),
+)
 @click.version_option(__version__, prog_name="vlmm-log")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def cli(debug: bool) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import FAILED, INTERRUPTED
 from vlmm_log.commands.options import FILE, QUERIES, READING, SOURCES, added, as_settings, method
 from vlmm_log.commands.telling import known, print_rows, tell
@@ -23,8 +24,11 @@ MOST_MOVERS = 6
 
 
 @click.command(
-    epilog="Examples: vlmm-log batch logs/* --out maps; "
-    "vlmm-log batch logs/* --out maps --segmenter 'masks:{source}/masks'; vlmm-log batch logs/* --out maps --engine ray"
+    epilog=examples(
+        "vlmm-log batch logs/* --out maps",
+        "vlmm-log batch logs/* --out maps --segmenter 'masks:{source}/masks'",
+        "vlmm-log batch logs/* --out maps --engine ray",
+    )
 )
 @SOURCES
 @click.option("--out", required=True, type=FILE, help="Folder: a folder a log, manifest, summary.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.options import (
     EMBEDDER,
     FILE,
@@ -32,8 +33,11 @@ WIDTH = 110  # of the tables at least: narrower cells are no longer read
 
 @click.command(
     name="eval",
-    epilog="Examples: vlmm-log eval kitchen bedroom --ablate --baselines --html eval.html; "
-    "vlmm-log eval walking --truth person --segmenter yolo:yolov8n-seg.onnx",
+    epilog=examples(
+        "vlmm-log eval kitchen bedroom --ablate --baselines --html eval.html",
+        "vlmm-log eval kitchen --sweep noise.scale=0.5,1,2",
+        "vlmm-log eval walking --truth person --segmenter yolo:yolov8n-seg.onnx",
+    ),
 )
 @SOURCES
 @click.option("--truth", metavar="DIR|person", help="simulate's truth/, masks (0, 128, 255), or the person proxy.")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.options import READING, SOURCE, added, as_settings
 from vlmm_log.commands.telling import console, known, printable, tell
 
@@ -17,7 +18,12 @@ if TYPE_CHECKING:
     from vlmm_log.survey import Info
 
 
-@click.command(epilog="Example: vlmm-log info walking.bag")
+@click.command(
+    epilog=examples(
+        "vlmm-log info walking.bag",
+        "vlmm-log info walking.bag --topics depth=/camera/depth/image",
+    )
+)
 @SOURCE
 @added(*READING)
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")

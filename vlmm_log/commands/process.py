@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import INTERRUPTED
 from vlmm_log.commands.options import FILE, QUERIES, READING, SOURCE, added, as_settings, method
 from vlmm_log.commands.telling import console, printable, tell
@@ -42,7 +43,11 @@ ROWS = {  # figure -> what the table calls it, how it is written
 
 
 @click.command(
-    epilog="Example: vlmm-log process rgbd_dataset_freiburg3_walking_xyz --rrd walking.rrd && rerun walking.rrd"
+    epilog=examples(
+        "vlmm-log process rgbd_dataset_freiburg3_walking_xyz",
+        "vlmm-log process walking.bag --stop 15 --rrd out.rrd --map map.json",
+        'vlmm-log process room --query "things that moved" --workers 4',
+    )
 )
 @SOURCE
 @added(*READING)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import NOTHING
 from vlmm_log.commands.options import FILE
 from vlmm_log.commands.telling import console, printable, tell
@@ -18,7 +19,11 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    epilog="Examples: vlmm-log query walking.rrd 'how many chairs moved'; vlmm-log query map.json 'the door that opens'"
+    epilog=examples(
+        "vlmm-log query walking.rrd 'how many chairs moved'",
+        "vlmm-log query map.json 'the door that opens' --json",
+        "vlmm-log query map.json 'things that moved' --grid grid.yaml",
+    )
 )
 @click.argument("source", metavar="MAP_OR_RRD", type=FILE)
 @click.argument("text", metavar="TEXT")
