@@ -1,8 +1,9 @@
-"""What holds for every command: its help has examples that parse, a shell completes it, and scripts get JSON."""
+"""What holds for every command: examples that parse, completion, JSON for scripts, terminals of any width, logs."""
 
 import inspect
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -12,10 +13,12 @@ from itertools import takewhile
 import click
 import pytest
 from click.testing import CliRunner
+from rich.cells import cell_len
 from small_room import write_small_room
 
 from vlmm_log.cli import cli
 from vlmm_log.commands.options import taken
+from vlmm_log.progress import COMPILING
 from vlmm_log.types import InputError
 
 
@@ -149,7 +152,14 @@ TOLD = {  # what follows the command's name -> exit code
     "render": ("a.rrd --frame 0 -o frame.png", 0),
     "simulate": ("bedroom bedroom --frames 2 --gap 1", 0),
 }
+FORCE = {name: ["--force"] for name in ("convert", "process", "render", "simulate")}
 ELSEWHERE = {"completion", "datasets get", "view"}  # a script is none; test_datasets.py, test_view.py
+
+
+def asked_of(name):
+    if name == "simulate" and find_spec("open3d") is None:
+        pytest.skip("needs Open3D")
+    return TOLD[name]
 
 
 def test_every_command_is_asked_for_json():
@@ -158,12 +168,65 @@ def test_every_command_is_asked_for_json():
 
 @pytest.mark.parametrize("name", TOLD)
 def test_json_is_all_of_standard_output(logs, name, monkeypatch):
-    if name == "simulate" and find_spec("open3d") is None:
-        pytest.skip("needs Open3D")
-    rest, code = TOLD[name]
+    rest, code = asked_of(name)
     monkeypatch.chdir(logs)
     (option,) = (p for p in COMMANDS[name].params if "--json" in p.opts)
     asked = ["--json"] if option.is_flag else ["--json", "-"]
-    done = CliRunner().invoke(cli, [*name.split(), *rest.split(), *asked], catch_exceptions=False)
+    done = CliRunner().invoke(cli, [*name.split(), *rest.split(), *FORCE.get(name, []), *asked], catch_exceptions=False)
     assert done.exit_code == code, done.stderr
     assert json.loads(done.stdout)
+
+
+# ---- terminals and logs
+
+BAR, LINES = "━╸╺", "│┃┏┡└"
+ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+COLOUR = re.compile(r"\x1b\[[0-9;]*\b(3[0-7]|38|4[0-7]|48|9[0-7]|10[0-7])[;m]")
+
+
+@pytest.mark.parametrize(("name", "columns"), [*((name, 40) for name in TOLD), ("process", 80), ("query", 80)])
+def test_a_narrow_terminal_shows_all_of_it(logs, name, columns):
+    """No frame of the bar and no row of a table is wider; without colours at 40, with them at 80."""
+    pytest.importorskip("pty")
+    from terminal import in_terminal
+
+    rest, expected = asked_of(name)
+    plain = {"NO_COLOR": "1"} if columns == 40 else {}
+    words = [*name.split(), *rest.split(), *FORCE.get(name, [])]
+    code, shown = in_terminal(*words, cwd=logs, columns=columns, **plain)
+    assert code == expected, shown
+    lines = re.split(r"[\r\n]+", ESCAPE.sub("", shown))
+    drawn = [line for line in lines if set(line) & set(BAR + LINES)]
+    assert max(map(cell_len, drawn), default=0) <= columns
+    assert "…" not in shown
+    assert bool(COLOUR.search(shown)) == (name == "process" and columns == 80)
+    assert drawn or name in ("info", "query", "datasets list")  # no bar, and rows as lines
+
+
+@pytest.mark.parametrize("name", TOLD)
+def test_what_is_no_terminal_gets_whole_lines_and_no_control_characters(logs, name, monkeypatch):
+    rest, code = asked_of(name)
+    monkeypatch.chdir(logs)
+    told = {}
+    for columns in ("40", "200"):
+        monkeypatch.setenv("COLUMNS", columns)
+        done = CliRunner().invoke(cli, [*name.split(), *rest.split(), *FORCE.get(name, [])], catch_exceptions=False)
+        assert done.exit_code == code, done.stderr
+        assert all(c.isprintable() or c == "\n" for c in done.stdout + done.stderr)
+        told[columns] = re.sub(r"[\d.]+( ms| MB)?|[─━]|  +", "", done.stdout)
+    assert told["40"] == told["200"]
+
+
+def test_only_a_first_run_tells_that_kernels_are_compiled(logs, tmp_path):
+    """The doctor, which people run before, compiles a few; what is refused is refused alone."""
+    pytest.importorskip("pty")
+    from terminal import in_terminal
+
+    def shown(*words):
+        code, text = in_terminal(*words, cwd=logs, columns=80, XDG_CACHE_HOME=str(tmp_path))
+        return code, text.count(COMPILING)
+
+    assert shown("doctor", "room") == (0, 0)
+    assert shown("process", "nowhere") == (2, 0)
+    assert shown("process", "room", "--rrd", "first.rrd") == (0, 1)
+    assert shown("process", "room", "--rrd", "second.rrd") == (0, 0)

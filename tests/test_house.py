@@ -54,6 +54,7 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/commands": ROOF
     | {"commands", "progress", "settings", "heap", "outputs"}
     | {"batches", "comparison", "evaluation", "simulation"},  # what their options say
+    "vlmm_log/progress.py": {"cache"},
     "vlmm_log/cli.py": {"commands", "types", "version"},
 }
 FOREIGN = {  # what only some rooms may know

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import traceback
@@ -53,6 +54,9 @@ def main() -> None:
     debug = "--debug" in sys.argv[1:]
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no sum takes more; idle threads would spin beside the work
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # a damaged image is told by us, once
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # an encoding that lacks a letter of a name is no error
     try:
         cli.main(args=[a for a in sys.argv[1:] if a != "--debug"], prog_name="vlmm-log", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as e:

@@ -65,7 +65,7 @@ def batch(
     from vlmm_log.fleet import batch as run
 
     kinds = {"rrd": not no_rrd, "mcap": mcap}
-    with progress("logs") as told:
+    with progress("logs", compiles=True) as told:
         done = run(
             sources,
             out,
@@ -103,7 +103,7 @@ def print_batch(done: Batch) -> None:
             known(figures.get("elements"), "{:.0f}"),
         )
         rows.append((o.name, str(o.state), *cells, ", ".join(movers[:MOST_MOVERS]) + more))
-    print_rows("", ("log", "state", "pairs", "s", "flagged", "d_M^2", "elements", "seen to move"), rows)
+    print_rows("", ("log", "state", "pairs", "s", "flagged", "d_M^2", "elements", "seen to move"), rows, boxed=False)
     tell(*(f"{o.name}: {o.error}" for o in done.outcomes if o.error))
     states = Counter(str(o.state) for o in done.outcomes)
     tell(f"{len(done.outcomes)} logs: {', '.join(f'{n} {state}' for state, n in sorted(states.items()))}")

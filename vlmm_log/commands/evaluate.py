@@ -96,7 +96,7 @@ def evaluate(
         pose_noise=None if pose_noise is None else parse_pose_noise(pose_noise),
     )
     printed = json_file == Path("-")
-    with progress("pairs") as told:
+    with progress("pairs", compiles=True) as told:
         done = run(
             sources,
             truth=truth,
@@ -144,7 +144,7 @@ def _print_pixels(e: Evaluation) -> None:
     ]
     head = ("settings or baseline", "score", "AP", "scored", "coverage", "recall", "static", "far", "equal recall")
     share = _figure(e.pixels[0].prevalence if e.pixels else float("nan"), "{:.1%}")
-    print_rows(f"moving pixels, {share} of all; flags of static ones", head, rows, at_least=WIDTH)
+    print_rows(f"moving pixels, {share} of all; flags of static ones", head, rows, boxed=False, at_least=WIDTH)
 
 
 def _print_objects(e: Evaluation) -> None:
@@ -158,7 +158,7 @@ def _print_objects(e: Evaluation) -> None:
     ]
     queries = tuple(e.objects[0].ap)
     head = ("elements", *(f"AP {q}" for q in queries), *(f"F1 {q}" for q in queries))
-    print_rows("queries", head, [(*row, *[""] * (len(head) - len(row))) for row in rows], at_least=WIDTH)
+    print_rows("queries", head, [(*row, *[""] * (len(head) - len(row))) for row in rows], boxed=False, at_least=WIDTH)
 
 
 def _figure(value: float, form: str) -> str:
