@@ -1,12 +1,19 @@
 # One target for each thing a person does. `make demo` and `make test` set up what they need.
 VENV ?= .venv
+PYTHON ?= python3
 PY := $(VENV)/bin/python
 
-.PHONY: demo test check bench twins doctor reproduce router fuzz picture house clean
+.PHONY: demo test check bench twins doctor reproduce router fuzz picture house pages docs clean
 
 $(VENV)/.ready: pyproject.toml
-	python3 -m venv $(VENV)
+	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo \
+		"needs Python 3.11 or later with venv: apt-get install python3-venv, or make PYTHON=/path/to/python3.11"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install -q --upgrade pip
+	$(PY) -m pip install -q -e .
+	touch $@
+
+$(VENV)/.ready-dev: $(VENV)/.ready
 	$(PY) -m pip install -q -e '.[dev]'
 	touch $@
 
@@ -18,7 +25,7 @@ demo: $(VENV)/.ready  ## render a small sequence, process it, say how to look at
 	@echo "look at it: $(VENV)/bin/rerun demo/room.rrd"
 
 TESTS ?= tests
-test: $(VENV)/.ready  ## all tests, or TESTS=tests/test_x.py
+test: $(VENV)/.ready-dev  ## all tests, or TESTS=tests/test_x.py
 	$(PY) -m pytest -q -n auto --dist loadscope $(TESTS)
 
 house:  ## the import tree as the installed package has it, of links, for tools that read files
@@ -26,38 +33,46 @@ house:  ## the import tree as the installed package has it, of links, for tools 
 	ln -s $(CURDIR)/vlmm_log/* .house/vlmm_log/
 	ln -s $(CURDIR)/readers $(CURDIR)/pipeline .house/vlmm_log/
 
-check: $(VENV)/.ready house  ## lint, format, spelling, dead code, types
+check: $(VENV)/.ready-dev house  ## lint, format, spelling, dead code, types
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/codespell
 	$(VENV)/bin/vulture
 	cd .house && $(abspath $(VENV))/bin/mypy --config-file ../pyproject.toml vlmm_log
 
-twins: $(VENV)/.ready  ## the same frames from every container, and what reading costs (needs the real slice)
+twins: $(VENV)/.ready-dev  ## the same frames from every container, and what reading costs (needs the real slice)
 	$(PY) -m benchmarks.twins
 	$(PY) -m benchmarks.long_bags
 
-doctor: $(VENV)/.ready  ## precision and recall of the doctor on injected faults (needs the real slice)
+doctor: $(VENV)/.ready-dev  ## precision and recall of the doctor on injected faults (needs the real slice)
 	$(PY) -m benchmarks.doctor
 
-bench: $(VENV)/.ready  ## speed as ratios, from one run
+bench: $(VENV)/.ready-dev  ## speed as ratios, from one run
 	$(PY) -m benchmarks
 	$(PY) -m benchmarks.query
 	$(PY) -m benchmarks.segmenters
 	$(PY) -m benchmarks.diff
 
-reproduce: $(VENV)/.ready  ## every table: the paper's figures and ours, in reproduce/report.html (about half an hour)
+reproduce: $(VENV)/.ready-dev  ## every table: the paper's figures and ours, in reproduce/report.html (about half an hour)
 	$(PY) -m pip install -q -e '.[sim]'
 	$(PY) -m benchmarks.reproduce reproduce
 
-router: $(VENV)/.ready  ## routing accuracy of both query parsers
+router: $(VENV)/.ready-dev  ## routing accuracy of both query parsers
 	$(PY) -m benchmarks.router
 
-fuzz: $(VENV)/.ready  ## broken files of every format, for eight minutes
+fuzz: $(VENV)/.ready-dev  ## broken files of every format, for eight minutes
 	$(PY) -m benchmarks.fuzz
 
 picture: demo  ## the README's picture, from the demo, by the headless viewer (needs Vulkan)
 	$(PY) examples/viewer_picture.py demo/room.rrd docs/viewer.png 12
 
+pages: $(VENV)/.ready  ## the pages that are made from the code: settings, and the rooms of the house
+	$(PY) docs/make/settings_page.py
+	$(PY) docs/make/rooms.py
+
+docs: pages  ## the documentation, in site/: open site/index.html
+	$(PY) -m pip install -q -e '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict
+
 clean:
-	rm -rf .house build dist demo *.egg-info
+	rm -rf .house build dist demo site *.egg-info

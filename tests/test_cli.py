@@ -230,3 +230,12 @@ def test_labels_cannot_steer_the_terminal():
 
     assert printable("Stuhl \u6905 [bold]") == "Stuhl \u6905 [bold]"
     assert printable("a\x1b[2Jb\u202ec\n") == "a\\u001b[2Jb\\u202ec\\u000a"
+
+
+def test_an_encoding_that_lacks_letters_is_no_error(tum_folder, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONIOENCODING", "latin-1")
+    tum_folder("Stuhl_\u6905", **GOOD)
+    done = vlmm_log("info", "Stuhl_\u6905", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("Stuhl_\\u6905 (tum)")
+    assert refused("info", "\u6905", cwd=tmp_path).startswith("vlmm-log: \\u6905: no such file")

@@ -18,11 +18,12 @@ from rerun.chunk import Chunk
 import render_room
 import vlmm_log
 from planted import cell, later, rewritten, without
+from vlmm_log.comparison.measures import figures
 from vlmm_log.comparison.report import report
 from vlmm_log.comparison.stages import STAGES
 from vlmm_log.comparison.tolerance import Choice, Tolerance
-from vlmm_log.comparison.words import summary
-from vlmm_log.entries import Table
+from vlmm_log.comparison.words import figure_words, summary
+from vlmm_log.entries import Pose, Scalar, Table
 from vlmm_log.recording import open_recording
 from vlmm_log.types import InputError
 
@@ -408,7 +409,7 @@ def test_figures_of_a_pose_and_of_masks(recording, tmp_path):
     (pose,) = vlmm_log.diff(recording, rewritten(recording, tmp_path / "a.rrd", PLANTED["pose by 1 mm"][0])).entities
     assert pose.largest == pytest.approx(0.1, abs=1e-4)
     assert pose.frames[0].figures.unit == "cm"
-    assert pose.frames[0].figures.told == "0.0000 degrees"
+    assert pose.frames[0].figures.told == "0 degrees"
     (masks,) = vlmm_log.diff(
         recording, rewritten(recording, tmp_path / "b.rrd", PLANTED["swapped mask ids"][0])
     ).entities
@@ -438,6 +439,31 @@ def test_changes_of_elements_are_told_by_kind(recording, tmp_path, component, ch
     other = rewritten(recording, tmp_path / "other.rrd", cell("world/map/elements", 6, component, change))
     (found,) = vlmm_log.diff(recording, other).elements.changes
     assert (found.a, found.b, found.kinds) == (1, 1, (kind,))
+
+
+TURNED = np.float32([1e-8, 0, 0, 1])  # by 1e-6 degrees
+STILL = np.float32([0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [
+        (Scalar(0.1), Scalar(float(np.nextafter(0.1, 1)))),
+        (Scalar(0.0), Scalar(5e-324)),
+        (Pose(STILL, np.float32([0, 0, 0, 1])), Pose(STILL, TURNED)),
+        (Pose(STILL, TURNED), Pose(STILL + np.float32(1e-9), TURNED)),
+    ],
+)
+def test_no_difference_is_so_small_that_it_reads_0(a, b):
+    told = figure_words(figures("stats/ego_rotation", a, b, 0, 0))
+    assert any(float(number) for number in re.findall(r"[-+.e\d]*\d", told)), told
+
+
+def test_figures_of_an_element_are_told_in_digits_that_show_the_change(recording, tmp_path):
+    nudged = cell("world/map/elements", 6, "speed", first(lambda x: np.nextafter(np.float32(x), np.float32(9))))
+    (found,) = vlmm_log.diff(recording, rewritten(recording, tmp_path / "other.rrd", nudged)).elements.changes
+    before, after = re.fullmatch(r"speed (\S+) -> (\S+)", found.told).groups()
+    assert float(before) < float(after) < float(before) + 1e-5
 
 
 def test_elements_added_and_removed(recording, tmp_path):

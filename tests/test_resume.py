@@ -229,7 +229,7 @@ def test_the_command_tells_how_to_go_on(logs, tmp_path):
     code = (
         "import contextlib, os, signal, sys\n"
         "from vlmm_log.cli import main\n"
-        "sys.modules['vlmm_log.commands.process'].progress = lambda what: contextlib.nullcontext("
+        "sys.modules['vlmm_log.commands.process'].progress = lambda what, **_: contextlib.nullcontext("
         "lambda done, _: done == 2 and os.kill(os.getpid(), signal.SIGTERM))\n"
         "main()"
     )

@@ -360,3 +360,16 @@ def test_command_line(tmp_path):
         failed = ran(*wrong)
         assert failed.returncode == 2 and len(failed.stderr.strip().splitlines()) == 1
         assert failed.stdout == ""
+
+
+@pytest.mark.parametrize("raised", [OSError, ImportError])
+def test_where_a_system_library_is_missing_the_line_that_installs_it_is_told(tmp_path, monkeypatch, raised):
+    fake = tmp_path / "open3d"
+    fake.mkdir()
+    said = "libGL.so.1: cannot open shared object file: No such file or directory"
+    (fake / "__init__.py").write_text(f"raise {raised.__name__}({said!r})")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    with pytest.raises(InputError, match=r"libGL\.so\.1.* apt-get install .*libgl1"):
+        simulate("kitchen", tmp_path / "room", frames=1, size=(16, 20))
+    assert not (tmp_path / "room").exists()

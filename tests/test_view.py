@@ -1,5 +1,6 @@
 """``view``: what it would start, what it says is missing, and the page that it serves."""
 
+import json
 import signal
 import socket
 import subprocess
@@ -135,7 +136,8 @@ def page_at(port):
 def test_the_page_is_served_on_loopback(recordings):
     port = free_port()
     command = [sys.executable, "-c", "from vlmm_log.cli import main; main()"]
-    serving = subprocess.Popen([*command, "view", recordings[0], "--web", "--port", str(port)], stderr=subprocess.PIPE)
+    command += ["view", recordings[0], "--web", "--port", str(port), "--json"]
+    serving = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
         assert b"rerun" in eventually(lambda: page_at(port)).lower()
         if Path("/proc/net/tcp").exists():
@@ -145,6 +147,9 @@ def test_the_page_is_served_on_loopback(recordings):
     finally:
         serving.send_signal(signal.SIGTERM)
         assert serving.wait(timeout=20) == 0
+    told = json.loads(serving.stdout.read())
+    assert told == {"file": str(recordings[0]), "told": [], "url": told["url"]}
+    assert told["url"].startswith(f"http://127.0.0.1:{port}?url=rerun")
     for own in (port, port + 1):
         with socket.socket() as s:
             assert s.connect_ex(("127.0.0.1", own)), "the viewer ended, too"

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from vlmm_log.assessment import evaluate
     from vlmm_log.compare import diff
     from vlmm_log.conversion import convert
+    from vlmm_log.datasets import get_dataset
     from vlmm_log.diagnosis import doctor
     from vlmm_log.fleet import batch
     from vlmm_log.picturing import render
@@ -28,6 +29,7 @@ __all__ = [
     "diff",
     "doctor",
     "evaluate",
+    "get_dataset",
     "info",
     "load_map",
     "open_log",
@@ -44,6 +46,7 @@ _HOME = {
     "diff": "vlmm_log.compare",
     "doctor": "vlmm_log.diagnosis",
     "evaluate": "vlmm_log.assessment",
+    "get_dataset": "vlmm_log.datasets",
     "info": "vlmm_log.survey",
     "load_map": "vlmm_log.ask",
     "open_log": "vlmm_log.readers",
@@ -54,9 +57,11 @@ _HOME = {
 }
 
 
-def __getattr__(name: str) -> Any:  # so that a name costs its imports only when it is used
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    import importlib
+if not TYPE_CHECKING:  # else a type checker takes any name for one of ours
 
-    return getattr(importlib.import_module(_HOME[name]), name)
+    def __getattr__(name: str) -> Any:  # so that a name costs its imports only when it is used
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import importlib
+
+        return getattr(importlib.import_module(_HOME[name]), name)

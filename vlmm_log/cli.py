@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import traceback
@@ -10,11 +11,13 @@ from contextlib import suppress
 import click
 
 from vlmm_log.commands.batch import batch
+from vlmm_log.commands.completion import completion
 from vlmm_log.commands.convert import convert
 from vlmm_log.commands.datasets import datasets
 from vlmm_log.commands.diff import diff
 from vlmm_log.commands.doctor import doctor
 from vlmm_log.commands.evaluate import evaluate
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import INTERRUPTED, UNHEARD, UNUSABLE
 from vlmm_log.commands.info import info
 from vlmm_log.commands.process import process
@@ -30,13 +33,22 @@ NO_MEMORY = (
     "nable to allocate",
     "new thread",
     "nsufficient memory",
-    "os error 1",
+    "os error 11",
 )
 """What libraries say instead of raising MemoryError."""
-COMMANDS = (batch, convert, datasets, diff, doctor, evaluate, info, process, query, render, simulate, view)
+COMMANDS = (batch, completion, convert, datasets, diff, doctor, evaluate, info, process, query, render, simulate, view)
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=examples(
+        "vlmm-log datasets get freiburg3_walking_xyz",
+        "vlmm-log info rgbd_dataset_freiburg3_walking_xyz",
+        "vlmm-log process rgbd_dataset_freiburg3_walking_xyz --rrd walking.rrd",
+        "vlmm-log query walking.rrd 'things that moved'",
+        "vlmm-log view walking.rrd",
+    ),
+)
 @click.version_option(__version__, prog_name="vlmm-log")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def cli(debug: bool) -> None:
@@ -56,6 +68,9 @@ def main() -> None:
     os.environ.setdefault("JOBLIB_MULTIPROCESSING", "0")  # not needed, and it warns where /dev/shm is full
     if not debug:
         sys.unraisablehook = lambda _: None  # of half-made objects of libraries, after the error that is told
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # an encoding that lacks a letter of a name is no error
     try:
         cli.main(args=[a for a in sys.argv[1:] if a != "--debug"], prog_name="vlmm-log", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as e:

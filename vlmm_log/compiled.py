@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Callable
 from functools import cache, partial
@@ -11,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-from vlmm_log.cache import cache_folder
+from vlmm_log.cache import kernels_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
 KEPT = 24  # rooms' kernels, of a few versions of this package side by side
@@ -35,9 +34,8 @@ def jit(kernel: F) -> F:
 
 @cache
 def _cache(room: Path) -> Path:
-    """A folder for these very kernels: named by a digest of all of a room, as they are compiled into one another."""
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(room.glob("*.py"))))
-    folder = cache_folder("kernels") / digest.hexdigest()[:16]
+    """A folder for these very kernels."""
+    folder = kernels_folder(room)
     if not folder.exists():
         _forget(folder.parent)
     return folder

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
 
 import click
 
+from vlmm_log.cache import kernels_folder
+
+COMPILING = "compiling kernels for this processor, once: about 12 s"
+REFUSED_S = 1.0  # what cannot be used is told sooner, and alone
+
 
 @contextmanager
-def progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar with a rate and the time left on a terminal; else a plain line now and then. Of pairs, messages, ..."""
-    if not sys.stderr.isatty():
+def progress(what: str, *, compiles: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """A bar with a rate and the time left on a terminal; else a plain line now and then. Of pairs, messages, ...
+
+    ``compiles``: the work begins with all of the pipeline's kernels; a terminal is told why nothing seems to happen
+    where none are kept.
+    """
+    if not sys.stderr.isatty() or os.environ.get("TERM") in ("dumb", "unknown"):
         yield _plain_lines(what)
         return
     from rich.console import Console
@@ -21,14 +34,30 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
 
     columns = [BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn()]
     began = time.monotonic()
-    with Progress(TextColumn(what), *columns, console=Console(stderr=True)) as bar:
+    with Progress(TextColumn(what), *columns, console=Console(stderr=True, highlight=False)) as bar:
         task = bar.add_task(what, total=None, rate="")
+        told = threading.Timer(REFUSED_S, bar.console.print, [COMPILING])
+        if compiles and not _kernels_kept():
+            told.start()
 
         def update(done: int, expected: int) -> None:
+            told.cancel()
             rate = f"{done / (time.monotonic() - began):.1f}/s"
             bar.update(task, completed=done, total=max(expected, done), rate=rate)
 
-        yield update
+        try:
+            yield update
+        finally:
+            told.cancel()
+
+
+def _kernels_kept() -> bool:
+    """Whether an earlier run left the kernels that measure motion; a few others are kept by lesser commands."""
+    spec = find_spec("vlmm_log.pipeline")
+    assert spec is not None
+    assert spec.submodule_search_locations
+    kept = os.environ.get("NUMBA_CACHE_DIR") or kernels_folder(Path(spec.submodule_search_locations[0]))
+    return any(Path(kept).rglob("kernels.*.nbi"))
 
 
 def _plain_lines(what: str, every_s: float = 5.0) -> Callable[[int, int], None]:

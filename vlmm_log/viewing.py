@@ -25,6 +25,11 @@ class Viewed:
     file: Path
     told: tuple[str, ...]  # what is missing of it
     command: tuple[str, ...]  # that shows it
+    url: str  # of the page that shows it; "" of a window
+
+    def report(self) -> dict[str, object]:
+        """For scripts."""
+        return {"file": str(self.file), "told": list(self.told), "url": self.url or None}
 
 
 def prepare(files: Sequence[Path], folder: Path, *, web: bool, port: int = WEB_PORT) -> Viewed:
@@ -55,7 +60,8 @@ def prepare(files: Sequence[Path], folder: Path, *, web: bool, port: int = WEB_P
         shown = Path(shutil.copy(opened[0].file, folder / shown.name.removesuffix(".partial")))
     served = ("--web-viewer", "--web-viewer-port", str(port), "--port", str(_beside(port))) if web else ()
     command = (str(_viewer()), str(shown), "--bind", LOOPBACK, *served)
-    return Viewed(shown, tuple(told), command)
+    url = f"http://{LOOPBACK}:{port}?url=rerun%2Bhttp://{LOOPBACK}:{_beside(port)}/proxy" if web else ""
+    return Viewed(shown, tuple(told), command, url)
 
 
 def _as_rrd(recording: Recording, target: Path) -> Path:
@@ -84,18 +90,15 @@ def _beside(port: int) -> int:
 
 
 def view(
-    files: Sequence[Path], *, web: bool = False, port: int = WEB_PORT, tell: Callable[[str], None] = lambda _: None
+    files: Sequence[Path], *, web: bool = False, port: int = WEB_PORT, tell: Callable[[Viewed], None] = lambda _: None
 ) -> None:
-    """Show recordings until the viewer is closed. ``tell`` hears what is missing of them.
+    """Show recordings until the viewer is closed. ``tell`` hears before what is shown.
 
     Raises InputError as ``prepare`` does, and where the viewer cannot be started or ends otherwise.
     """
     with scratch() as folder:
         viewed = prepare(files, Path(folder), web=web, port=port)
-        for line in viewed.told:
-            tell(line)
-        if web:
-            tell(f"open http://127.0.0.1:{port}?url=rerun%2Bhttp://127.0.0.1:{_beside(port)}/proxy")
+        tell(viewed)
         code = _shown(viewed.command)
     if code:
         how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import FAILED, INTERRUPTED
 from vlmm_log.commands.options import FILE, QUERIES, READING, SOURCES, added, as_settings, method
 from vlmm_log.commands.telling import known, print_rows, tell
@@ -23,8 +24,11 @@ MOST_MOVERS = 6
 
 
 @click.command(
-    epilog="Examples: vlmm-log batch logs/* --out maps; "
-    "vlmm-log batch logs/* --out maps --segmenter 'masks:{source}/masks'; vlmm-log batch logs/* --out maps --engine ray"
+    epilog=examples(
+        "vlmm-log batch logs/* --out maps",
+        "vlmm-log batch logs/* --out maps --segmenter 'masks:{source}/masks'",
+        "vlmm-log batch logs/* --out maps --engine ray",
+    )
 )
 @SOURCES
 @click.option("--out", required=True, type=FILE, help="Folder: a folder a log, manifest, summary.")
@@ -61,7 +65,7 @@ def batch(
     from vlmm_log.fleet import batch as run
 
     kinds = {"rrd": not no_rrd, "mcap": mcap}
-    with progress("logs") as told:
+    with progress("logs", compiles=True) as told:
         done = run(
             sources,
             out,
@@ -99,7 +103,7 @@ def print_batch(done: Batch) -> None:
             known(figures.get("elements"), "{:.0f}"),
         )
         rows.append((o.name, str(o.state), *cells, ", ".join(movers[:MOST_MOVERS]) + more))
-    print_rows("", ("log", "state", "pairs", "s", "flagged", "d_M^2", "elements", "seen to move"), rows)
+    print_rows("", ("log", "state", "pairs", "s", "flagged", "d_M^2", "elements", "seen to move"), rows, boxed=False)
     tell(*(f"{o.name}: {o.error}" for o in done.outcomes if o.error))
     states = Counter(str(o.state) for o in done.outcomes)
     tell(f"{len(done.outcomes)} logs: {', '.join(f'{n} {state}' for state, n in sorted(states.items()))}")

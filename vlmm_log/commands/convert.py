@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.options import FILE, READING, SOURCE, added, as_settings
 from vlmm_log.commands.telling import tell
 from vlmm_log.progress import progress
@@ -18,7 +19,11 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    epilog="Examples: vlmm-log convert rgbd_dataset_freiburg1_xyz xyz.mcap; vlmm-log convert walking.bag tum/"
+    epilog=examples(
+        "vlmm-log convert rgbd_dataset_freiburg1_xyz xyz.mcap",
+        "vlmm-log convert walking.bag tum/",
+        "vlmm-log convert walking.bag small.mcap --compressed",
+    )
 )
 @SOURCE
 @added(*READING)

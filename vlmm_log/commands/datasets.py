@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.options import FILE
 from vlmm_log.commands.telling import printable, tell
 from vlmm_log.progress import progress
@@ -17,12 +18,23 @@ if TYPE_CHECKING:
     from vlmm_log.datasets import Got, Shelved
 
 
-@click.group()
+@click.group(
+    epilog=examples(
+        "vlmm-log datasets list",
+        "vlmm-log datasets get freiburg3_walking_xyz",
+    )
+)
 def datasets() -> None:
     """Recorded sequences to try this on, from their official sites. Nothing is fetched but by `get`."""
 
 
-@datasets.command(name="list", epilog="Example: vlmm-log datasets list")
+@datasets.command(
+    name="list",
+    epilog=examples(
+        "vlmm-log datasets list",
+        "vlmm-log datasets list --to logs --json",
+    ),
+)
 @click.option("--to", type=FILE, default=Path(), help="Folder to look in for what is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 def list_datasets(to: Path, as_json: bool) -> None:
@@ -36,7 +48,13 @@ def list_datasets(to: Path, as_json: bool) -> None:
         print_datasets(shelved)
 
 
-@datasets.command(name="get", epilog="Example: vlmm-log datasets get freiburg3_walking_xyz")
+@datasets.command(
+    name="get",
+    epilog=examples(
+        "vlmm-log datasets get freiburg3_walking_xyz",
+        "vlmm-log datasets get freiburg3_walking_xyz --to logs --keep-archive",
+    ),
+)
 @click.argument("name")
 @click.option("--to", type=FILE, default=Path(), help="Folder to unpack it in; this one.")
 @click.option("--url", default="", help="Another place that has the same archive.")

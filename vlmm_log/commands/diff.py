@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from vlmm_log.commands.diff_batches import tell_batches
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import FOUND
 from vlmm_log.commands.options import FILE
 from vlmm_log.commands.telling import console, tell
@@ -22,7 +23,11 @@ MOST_LINES = 40  # of a section
 
 
 @click.command(
-    epilog="Examples: vlmm-log diff before.rrd after.rrd; vlmm-log diff a.rrd b.mcap --atol 0.01 --html diff.html"
+    epilog=examples(
+        "vlmm-log diff before.rrd after.rrd",
+        "vlmm-log diff a.rrd b.mcap --atol 0.01 --html diff.html",
+        "vlmm-log diff maps_of_monday maps_of_tuesday",
+    )
 )
 @click.argument("a", type=FILE)
 @click.argument("b", type=FILE)

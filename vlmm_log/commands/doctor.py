@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import FOUND
 from vlmm_log.commands.options import READING, SOURCE, added, as_settings
 from vlmm_log.commands.telling import tell
@@ -19,7 +20,12 @@ if TYPE_CHECKING:
     from vlmm_log.settings import Settings
 
 
-@click.command(epilog="Example: vlmm-log doctor walking.bag")
+@click.command(
+    epilog=examples(
+        "vlmm-log doctor walking.bag",
+        "vlmm-log doctor room --intrinsics freiburg1 --start 10 --stop 40",
+    )
+)
 @SOURCE
 @added(*READING)
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.options import (
     EMBEDDER,
     FILE,
@@ -32,8 +33,11 @@ WIDTH = 110  # of the tables at least: narrower cells are no longer read
 
 @click.command(
     name="eval",
-    epilog="Examples: vlmm-log eval kitchen bedroom --ablate --baselines --html eval.html; "
-    "vlmm-log eval walking --truth person --segmenter yolo:yolov8n-seg.onnx",
+    epilog=examples(
+        "vlmm-log eval kitchen bedroom --ablate --baselines --html eval.html",
+        "vlmm-log eval kitchen --sweep noise.scale=0.5,1,2",
+        "vlmm-log eval walking --truth person --segmenter yolo:yolov8n-seg.onnx",
+    ),
 )
 @SOURCES
 @click.option("--truth", metavar="DIR|person", help="simulate's truth/, masks (0, 128, 255), or the person proxy.")
@@ -92,7 +96,7 @@ def evaluate(
         pose_noise=None if pose_noise is None else parse_pose_noise(pose_noise),
     )
     printed = json_file == Path("-")
-    with progress("pairs") as told:
+    with progress("pairs", compiles=True) as told:
         done = run(
             sources,
             truth=truth,
@@ -140,7 +144,7 @@ def _print_pixels(e: Evaluation) -> None:
     ]
     head = ("settings or baseline", "score", "AP", "scored", "coverage", "recall", "static", "far", "equal recall")
     share = _figure(e.pixels[0].prevalence if e.pixels else float("nan"), "{:.1%}")
-    print_rows(f"moving pixels, {share} of all; flags of static ones", head, rows, at_least=WIDTH)
+    print_rows(f"moving pixels, {share} of all; flags of static ones", head, rows, boxed=False, at_least=WIDTH)
 
 
 def _print_objects(e: Evaluation) -> None:
@@ -154,7 +158,7 @@ def _print_objects(e: Evaluation) -> None:
     ]
     queries = tuple(e.objects[0].ap)
     head = ("elements", *(f"AP {q}" for q in queries), *(f"F1 {q}" for q in queries))
-    print_rows("queries", head, [(*row, *[""] * (len(head) - len(row))) for row in rows], at_least=WIDTH)
+    print_rows("queries", head, [(*row, *[""] * (len(head) - len(row))) for row in rows], boxed=False, at_least=WIDTH)
 
 
 def _figure(value: float, form: str) -> str:

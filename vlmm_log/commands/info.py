@@ -9,15 +9,21 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.options import READING, SOURCE, added, as_settings
-from vlmm_log.commands.telling import console, known, printable, tell
+from vlmm_log.commands.telling import known, print_rows, tell
 
 if TYPE_CHECKING:
     from vlmm_log.settings import Settings
     from vlmm_log.survey import Info
 
 
-@click.command(epilog="Example: vlmm-log info walking.bag")
+@click.command(
+    epilog=examples(
+        "vlmm-log info walking.bag",
+        "vlmm-log info walking.bag --topics depth=/camera/depth/image",
+    )
+)
 @SOURCE
 @added(*READING)
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
@@ -35,17 +41,12 @@ def info(source: Path, as_json: bool, settings: Settings) -> None:
 
 def print_info(told: Info) -> None:
     """What a log holds."""
-    from rich.table import Table
-    from rich.text import Text
-
-    streams = Table(title=Text(f"{printable(told.source)} ({told.reader})"), title_justify="left")
-    for name, side in (("", "left"), ("stream", "left"), ("type", "left"), ("count", "right"), ("Hz", "right")):
-        streams.add_column(name, justify=side, overflow="fold")  # type: ignore[arg-type]
-    streams.add_column("longest gap", justify="right")
-    for x in told.streams:
-        cells = (x.role, printable(x.name), printable(x.type), known(x.count), known(x.rate_hz, "{:.2f}"))
-        streams.add_row(*(Text(cell) for cell in (*cells, known(x.longest_gap_s, "{:.3f} s"))))
-    console().print(streams)
+    head = ("", "stream", "type", "count", "Hz", "longest gap")
+    rows = [
+        (x.role, x.name, x.type, known(x.count), known(x.rate_hz, "{:.2f}"), known(x.longest_gap_s, "{:.3f} s"))
+        for x in told.streams
+    ]
+    print_rows(f"{told.source} ({told.reader})", head, rows, left=3)
     tell(*(f"  {line}" for line in _lines(told)))
 
 

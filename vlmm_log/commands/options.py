@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from vlmm_log.settings import Settings
 
 Command = Callable[..., None]
 Option = Callable[[Command], Command]
@@ -86,16 +89,24 @@ def added(*options: Option) -> Option:
 
 
 def as_settings(command: Command) -> Command:
-    """Call the command with the ``settings`` that its options make; those not given leave theirs as they are."""
+    """Call the command with the ``settings`` that its options make."""
 
     @wraps(command)
     def called(**given: Any) -> None:
-        from vlmm_log.settings import Settings
-
-        chosen = {name: given.pop(name) for name in list(given) if "__" in name}
-        told = {name: value for name, value in chosen.items() if value is not None and value is not False}
-        options = {name.replace("__", "."): value for name, value in told.items()}
-        settings = Settings.load(given.pop("profile", None), given.pop("toml"), given.pop("sets"), options)
+        settings = taken(given)
         command(settings=settings, **given)
 
     return called
+
+
+def taken(given: dict[str, Any]) -> Settings:
+    """The settings of a command's options, which are taken from the others; those not given leave theirs as they are.
+
+    Raises InputError where there is no such setting, or it is out of range.
+    """
+    from vlmm_log.settings import Settings
+
+    chosen = {name: given.pop(name) for name in list(given) if "__" in name}
+    told = {name: value for name, value in chosen.items() if value is not None and value is not False}
+    options = {name.replace("__", "."): value for name, value in told.items()}
+    return Settings.load(given.pop("profile", None), given.pop("toml"), given.pop("sets"), options)

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import INTERRUPTED
 from vlmm_log.commands.options import FILE, QUERIES, READING, SOURCE, added, as_settings, method
-from vlmm_log.commands.telling import console, printable, tell
+from vlmm_log.commands.telling import print_rows, tell
 from vlmm_log.progress import progress
 
 if TYPE_CHECKING:
@@ -42,7 +43,11 @@ ROWS = {  # figure -> what the table calls it, how it is written
 
 
 @click.command(
-    epilog="Example: vlmm-log process rgbd_dataset_freiburg3_walking_xyz --rrd walking.rrd && rerun walking.rrd"
+    epilog=examples(
+        "vlmm-log process rgbd_dataset_freiburg3_walking_xyz",
+        "vlmm-log process walking.bag --stop 15 --rrd out.rrd --map map.json",
+        'vlmm-log process room --query "things that moved" --workers 4',
+    )
 )
 @SOURCE
 @added(*READING)
@@ -81,7 +86,7 @@ def process(
     if rrd is None and mcap is None:
         rrd = Path(f"{source.absolute().name}.rrd")  # the closing table names it
     keep_pages()
-    with progress("pairs") as told:
+    with progress("pairs", compiles=True) as told:
         done = run(
             source,
             rrd=rrd,
@@ -118,24 +123,14 @@ def print_processed(done: Processed) -> None:
     for path in done.outputs:
         size = path.stat().st_size / 1e6
         state = "" if done.end.complete else " (interrupted: readable up to the last pair)"
-        tell(f"wrote {printable(str(path))}{state}, {size:.1f} MB")
+        tell(f"wrote {path}{state}, {size:.1f} MB")
     if not done.end.complete and not done.outputs:
         tell("interrupted before the first pair: nothing was kept")
 
 
 def print_figures(done: Processed) -> None:
     """The table of a run."""
-    from rich.table import Table
-    from rich.text import Text
-
-    title = Text(printable(f"{done.run.source} ({done.run.reader}), medians over pairs"))
-    table = Table(title=title, title_justify="left")
-    table.add_column("figure")
-    table.add_column("value", justify="right")
     figures = done.summary.figures()
-    for name, (label, form) in ROWS.items():
-        if name in figures:
-            table.add_row(label, form.format(figures[name]))
-    for reason, count in sorted(done.summary.skipped.items()):
-        table.add_row(Text(printable(f"noted: {reason}")), str(count))
-    console().print(table)
+    rows = [(label, form.format(figures[name])) for name, (label, form) in ROWS.items() if name in figures]
+    rows += [(f"noted: {reason}", str(count)) for reason, count in sorted(done.summary.skipped.items())]
+    print_rows(f"{done.run.source} ({done.run.reader}), medians over pairs", ("figure", "value"), rows)

@@ -9,16 +9,21 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import NOTHING
 from vlmm_log.commands.options import FILE
-from vlmm_log.commands.telling import console, printable, tell
+from vlmm_log.commands.telling import print_rows, tell
 
 if TYPE_CHECKING:
     from vlmm_log.ask import Found
 
 
 @click.command(
-    epilog="Examples: vlmm-log query walking.rrd 'how many chairs moved'; vlmm-log query map.json 'the door that opens'"
+    epilog=examples(
+        "vlmm-log query walking.rrd 'how many chairs moved'",
+        "vlmm-log query map.json 'the door that opens' --json",
+        "vlmm-log query map.json 'things that moved' --grid grid.yaml",
+    )
 )
 @click.argument("source", metavar="MAP_OR_RRD", type=FILE)
 @click.argument("text", metavar="TEXT")
@@ -78,14 +83,9 @@ def print_found(found: Found, limit: int) -> None:
 
 def print_answers(found: Found, limit: int) -> None:
     """The table of the elements that answer."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(f"{found.answer.matches} of {len(found.elements)} elements"), title_justify="left")
-    for name in ("id", "label", "class", "score", "position m", "why"):
-        table.add_column(name, overflow="fold")
+    rows = []
     for row in found.report(limit)["answers"]:
         place = " ".join(f"{x:.2f}" for x in row["position"])
-        cells = (row["id"], row["label"], row["motion_class"], f"{row['score']:.2f}", place, row["reason"])
-        table.add_row(*(Text(printable(str(cell))) for cell in cells))
-    console().print(table)
+        rows.append((str(row["id"]), row["label"], row["motion_class"], f"{row['score']:.2f}", place, row["reason"]))
+    head = ("id", "label", "class", "score", "position m", "why")
+    print_rows(f"{found.answer.matches} of {len(found.elements)} elements", head, rows, left=len(head))

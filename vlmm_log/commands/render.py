@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.options import FILE
 from vlmm_log.commands.telling import tell
 from vlmm_log.progress import progress
@@ -17,8 +18,10 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    epilog="Examples: vlmm-log render walking.rrd --frame 60 -o frame.png; "
-    "vlmm-log render walking.mcap --video walking.mp4 --panels rgb,d_m --start 1 --stop 3"
+    epilog=examples(
+        "vlmm-log render walking.rrd --frame 60 -o frame.png",
+        "vlmm-log render walking.mcap --video walking.mp4 --panels rgb,d_m",
+    )
 )
 @click.argument("recording", type=FILE)
 @click.option("--frame", type=int, metavar="N", help="The frame, as the viewer and tables number it.")

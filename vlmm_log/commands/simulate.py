@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.options import FILE
 from vlmm_log.commands.telling import tell
 from vlmm_log.progress import progress
@@ -17,7 +18,11 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    epilog="Examples: vlmm-log simulate kitchen out; vlmm-log simulate bedroom out --noise nguyen --pose-noise 0.2,0.5"
+    epilog=examples(
+        "vlmm-log simulate kitchen room",
+        "vlmm-log simulate bedroom room --noise nguyen --pose-noise 0.2,0.5",
+        "vlmm-log simulate living_room room --frames 300 --seed 7",
+    )
 )
 @click.argument("scene", metavar="SCENE")
 @click.argument("out", type=FILE)

@@ -2,23 +2,47 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from vlmm_log.commands.examples import examples
 from vlmm_log.commands.options import FILE
+
+if TYPE_CHECKING:
+    from vlmm_log.viewing import Viewed
 
 
 @click.command(
-    epilog="Examples: vlmm-log view out.rrd; vlmm-log view before.rrd after.rrd; vlmm-log view out.rrd --web"
+    epilog=examples(
+        "vlmm-log view out.rrd",
+        "vlmm-log view before.rrd after.rrd",
+        "vlmm-log view out.rrd --web",
+    )
 )
 @click.argument("files", nargs=-1, required=True, metavar="FILE [FILE]", type=FILE)
 @click.option("--web", is_flag=True, help="Serve it for a browser on this machine (127.0.0.1) instead.")
 @click.option("--port", type=click.IntRange(1, 65534), default=9090, show_default=True, help="Of the page, with --web.")
-def view(files: tuple[Path, ...], web: bool, port: int) -> None:
+@click.option("--json", "as_json", is_flag=True, help="Print what is shown, and where, as JSON.")
+def view(files: tuple[Path, ...], web: bool, port: int, as_json: bool) -> None:
     """Show a recording (.rrd, .mcap) in the Rerun viewer, or two side by side under one timeline."""
     from vlmm_log.viewing import view as run
 
     if len(files) > 2:
         raise click.UsageError("view shows one recording or two")
-    run(files, web=web, port=port, tell=lambda line: click.echo(line, err=True))
+    run(files, web=web, port=port, tell=print_as_json if as_json else tell_beside)
+
+
+def print_as_json(viewed: Viewed) -> None:
+    """On stdout, before the viewer opens."""
+    click.echo(json.dumps(viewed.report(), indent=2))
+
+
+def tell_beside(viewed: Viewed) -> None:
+    """What is missing, and where the page is, on stderr: what the viewer says goes there, too."""
+    for line in viewed.told:
+        click.echo(line, err=True)
+    if viewed.url:
+        click.echo(f"open {viewed.url}", err=True)

@@ -91,7 +91,7 @@ def _change(a: Columns, b: Columns, i: int, j: int, atol: float, rtol: float) ->
     figures += ["observations"] if int(a["observations"][i]) != int(b["observations"][j]) else []
     if figures:
         kinds.append("changed")
-        told += [f"{name} {_short(a, name, i)} -> {_short(b, name, j)}" for name in figures]
+        told += [f"{name} {_both(_value(a, name, i), _value(b, name, j))}" for name in figures]
     ids = int(a["element_id"][i]), int(b["element_id"][j])
     if not kinds and ids[0] == ids[1]:
         return None
@@ -111,9 +111,17 @@ def _beyond(a: NDArray[Any], b: NDArray[Any], atol: float, rtol: float) -> bool:
     return bool((~(np.abs(a - b) <= atol + rtol * np.abs(b)) & ~both_nan).any())
 
 
-def _short(columns: Columns, name: str, row: int) -> str:
-    value = columns[name][row] if name in columns else float("nan")
-    return f"{value:.3g}" if isinstance(value, float | np.floating) else str(value)
+def _value(columns: Columns, name: str, row: int) -> Any:
+    """One value; NaN where the run gave none."""
+    return columns[name][row] if name in columns else float("nan")
+
+
+def _both(x: Any, y: Any) -> str:
+    """Two values that differ, in as many digits as show it."""
+    if not isinstance(x, float | np.floating):
+        return f"{x} -> {y}"
+    digits = next((n for n in range(3, 17) if f"{x:.{n}g}" != f"{y:.{n}g}"), 17)
+    return f"{x:.{digits}g} -> {y:.{digits}g}"
 
 
 def query_difference(query: str, a: Table | None, b: Table | None) -> QueryDifference | None:

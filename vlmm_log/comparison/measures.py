@@ -192,7 +192,7 @@ def _pose(a: Pose, b: Pose, atol: float, rtol: float) -> Figures:
     near = cm <= atol + rtol * 100 * float(np.linalg.norm(b.translation)) and angle <= atol + rtol * 180
     if near:  # never of a pose that is not a number
         return SAME
-    return Figures(1, 1, 0, cm, cm, cm, "cm", f"{angle:.4f} degrees")
+    return Figures(1, 1, 0, cm, cm, cm, "cm", f"{angle:.4g} degrees")
 
 
 def _camera(a: Camera, b: Camera, atol: float, rtol: float) -> Figures:

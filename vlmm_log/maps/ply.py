@@ -6,12 +6,12 @@ A vertex bears ``element_id`` (-1: background) and ``motion_class`` (255: backgr
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from vlmm_log.elements import CLASS_COLORS, Element, MotionClass
 from vlmm_log.maps.saved import SavedMap
+from vlmm_log.open3d_loading import load_open3d
 from vlmm_log.types import Float32, Float64, InputError, UInt8
 
 SURFACE = 400  # points of an ellipsoid
@@ -21,7 +21,7 @@ NO_CLASS = 255
 
 def write(path: Path, saved: SavedMap) -> None:
     """Write the cloud. Raises InputError where Open3D is missing or there is no point, OSError if the disk refuses."""
-    o3d = _open3d()
+    o3d = load_open3d("a map as PLY")
     points, colors, ids, classes = cloud(saved)
     if not len(points):
         raise InputError(f"{saved.run.source}: its map has neither voxels nor elements to show; nothing was written")
@@ -64,14 +64,6 @@ def surface(element: Element) -> Float32:
     spread, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     offsets = SIGMAS * sphere * np.sqrt(np.maximum(spread, 0)) @ axes.T  # a median of covariances may be none
     return np.asarray(element.position + offsets, np.float32)
-
-
-def _open3d() -> Any:
-    try:
-        import open3d
-    except ImportError as e:
-        raise InputError("a map as PLY needs Open3D: pip install 'vlmm-log[sim]'") from e
-    return open3d
 
 
 def _check_whole(path: Path, points: int, bytes_a_point: int) -> None:

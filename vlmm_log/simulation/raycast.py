@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vlmm_log import se3
+from vlmm_log.open3d_loading import load_open3d
 from vlmm_log.simulation.kernels import Lens, cast_rays, merge
 from vlmm_log.simulation.materials import PATTERNS
 from vlmm_log.simulation.meshes import Mesh, moved
@@ -19,7 +20,7 @@ from vlmm_log.simulation.motions import Motion
 from vlmm_log.simulation.shading import Looks
 from vlmm_log.simulation.shapes import Piece, put
 from vlmm_log.simulation.things import HandHeld, Scene
-from vlmm_log.types import Float32, Float64, InputError, Int32, UInt16
+from vlmm_log.types import Float32, Float64, Int32, UInt16
 
 NEAR_M = 0.05  # nearer than it, a part's rectangle is the whole image
 
@@ -60,7 +61,7 @@ class Hits:
 
 def build(scene: Scene) -> World:
     """Everything that does not change. Raises InputError where Open3D is not installed."""
-    o3d = _open3d()
+    o3d = load_open3d("simulate")
     pieces: list[tuple[Piece, int, int]] = []  # with part and instance
     still = o3d.t.geometry.RaycastingScene()
     moving, corners, motions, first_piece, owners = [], [], [], [], []
@@ -113,7 +114,7 @@ def exposure(world: World, t: float, readout_s: float, height: int) -> Exposure:
 
 def cast(world: World, seen: Exposure, lens: Lens, size: tuple[int, int]) -> Hits:
     """The nearest surfaces on a grid of size (H, W)."""
-    o3d = _open3d()
+    o3d = load_open3d("simulate")
     H, W = size
     found = _cast(o3d, world.scene, seen.T_part_cam[0], lens, (0, 0, W, H))
     depth, normal = found["t_hit"].numpy(), found["primitive_normals"].numpy()
@@ -168,11 +169,3 @@ def _looks(pieces: list[tuple[Piece, int, int]]) -> Looks:
 def _add(o3d: Any, scene: Any, mesh: Mesh) -> None:
     mesh = moved(mesh, np.eye(4))
     scene.add_triangles(o3d.core.Tensor(mesh.vertices.copy()), o3d.core.Tensor(mesh.triangles.copy()))
-
-
-def _open3d() -> Any:
-    try:
-        import open3d
-    except ImportError as e:
-        raise InputError(f"simulate needs Open3D: pip install 'vlmm-log[sim]' ({e})") from e
-    return open3d
