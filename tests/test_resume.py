@@ -103,6 +103,7 @@ def test_what_cannot_be_gone_on_with_is_refused_and_kept(logs, tmp_path):
 def test_a_log_that_changed_meanwhile_is_refused_from_its_first_new_frame(logs, tmp_path):
     log = shutil.copytree(logs / "posed", tmp_path / "posed")
     interrupted(log, tmp_path, 3)
+    recorded = (tmp_path / "a.rrd.partial").read_bytes()
     images = sorted((log / "rgb").iterdir())
     shutil.copyfile(images[0], images[4])
     with pytest.raises(InputError, match=r"of another log \(other images or poses from frame 1 on\)"):
@@ -111,6 +112,28 @@ def test_a_log_that_changed_meanwhile_is_refused_from_its_first_new_frame(logs, 
         image.unlink()
     with pytest.raises(InputError, match=r"of another log \(it ends before\)"):
         processed(log, tmp_path, resume=True)
+    assert (tmp_path / "a.rrd.partial").read_bytes() == recorded
+
+
+def test_a_run_that_ended_between_its_outputs_goes_on(logs, whole, tmp_path, monkeypatch):
+    """What lies in its place already is its own; another one's needs force."""
+
+    def killed(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(vlmm_log.api, "save_map", killed)
+        processed(logs / "posed", tmp_path, resume=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.rrd", "a.rrd.journal"]
+    (tmp_path / "other.json").write_text("good")
+    with pytest.raises(InputError, match=r"other\.json: exists"):
+        processed(logs / "posed", tmp_path, resume=True, map=tmp_path / "other.json")
+    (tmp_path / "other.json").unlink()
+    done = processed(logs / "posed", tmp_path, resume=True)
+    assert done.resumed == done.end.pairs
+    assert vlmm_log.diff(whole["posed"].outputs[0], done.outputs[0]).same
+    assert whole["posed"].outputs[1].read_bytes() == done.outputs[1].read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.json", "a.rrd"]
 
 
 def test_a_damaged_row_and_all_after_it_are_looked_at_again(logs, whole, tmp_path):
