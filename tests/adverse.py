@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from killing import SERVER
+
 from vlmm_log import cli
 
 PATIENCE_S = 60
@@ -31,7 +32,7 @@ class Said:
         assert self.code == 2, self
         lines = [line for line in self.err.splitlines() if "s left" not in line]  # of progress
         assert len(lines) == 1, self
-        assert "internal error" not in lines[0]
+        assert "internal error" not in lines[0], self
         return lines[0]
 
 
@@ -41,7 +42,7 @@ class Machine:
 
     largest_file: int | None = None  # bytes, as a full disk
     more_memory: int | None = None  # bytes beyond what the process has when it begins
-    lost: tuple[str, str] | None = None  # (a path, what happens to it) after two steps of progress
+    lost: tuple[str, str] | None = None  # (a path, what happens to it) after the first step of progress
 
 
 def run(folder: Path, arguments: tuple[str, ...], machine: Machine) -> Said:
@@ -78,9 +79,9 @@ def _watch(path: str, how: str) -> None:
     import vlmm_log.commands.process
 
     @contextlib.contextmanager
-    def progress(_what: str):
+    def progress(*_what: object, **_more: object):
         def told(done: int, *_others: object, **_more: object) -> None:
-            if done == 2:
+            if done == 1:
                 LOSSES[how](Path(path))
 
         yield told

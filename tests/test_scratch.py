@@ -35,8 +35,9 @@ def test_what_is_in_use_stays(tmp_path):
 
 
 def test_what_is_no_folder_of_ours_stays(tmp_path):
-    (tmp_path / "theirs").mkdir()
-    (tmp_path / "vlmm-log-file").touch()
-    (tmp_path / "vlmm-log-link").symlink_to(tmp_path / "theirs")
+    for name in ("theirs", "vlmm-log-kept"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "vlmm-log-run-file").touch()
+    (tmp_path / "vlmm-log-run-link").symlink_to(tmp_path / "theirs")
     scratch(tmp_path).cleanup()
-    assert {p.name for p in tmp_path.iterdir()} == {"theirs", "vlmm-log-file", "vlmm-log-link"}
+    assert {p.name for p in tmp_path.iterdir()} == {"theirs", "vlmm-log-kept", "vlmm-log-run-file", "vlmm-log-run-link"}

@@ -71,6 +71,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # an encoding that lacks a letter of a name is no error
+    stdout = sys.stdout
     try:
         cli.main(args=[a for a in sys.argv[1:] if a != "--debug"], prog_name="vlmm-log", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as e:
@@ -80,8 +81,8 @@ def main() -> None:
         _end(f"{where}: {e.format_message()}")
     except click.exceptions.Abort:
         sys.exit(INTERRUPTED)
-    except SystemExit as e:
-        if isinstance(e.__context__, BrokenPipeError):  # click makes an answer of it
+    except SystemExit:
+        if sys.stdout is not stdout:  # click has put it aside: nobody reads on, and its exit code would be an answer
             sys.exit(UNHEARD)
         raise
     except Exception as e:  # noqa: BLE001  one line for the user, the traceback on request

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -68,9 +69,18 @@ def claim(
             raise InputError(f"{path}: is the input; name another file")
         if where & taken:
             raise InputError(f"{path}: is named for two outputs; name two files")
-        if not there.is_dir() or not os.access(there, os.W_OK):
+        if not takes_files(there):
             raise InputError(f"{path}: cannot be written: no files can be made in {there}")
         taken |= where
+
+
+def takes_files(folder: Path) -> bool:
+    """Whether files can be made in a folder: tried, since permissions do not tell of mounts and of root."""
+    try:
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
 
 
 def check_free(path: Path, force: bool) -> None:

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-PREFIX = "vlmm-log-"
+PREFIX = "vlmm-log-run-"  # of no other program: what is not locked is removed
 
 
 def scratch(within: Path | None = None) -> TemporaryDirectory[str]:

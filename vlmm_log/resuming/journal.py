@@ -63,6 +63,7 @@ class Journal:
         told["what is recorded"] = recorded
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            new = not path.exists()
             self._rows = sqlite3.connect(path, isolation_level=None)
             try:
                 self._rows.executescript(ALONE)
@@ -70,6 +71,8 @@ class Journal:
                 self._check(told)
             except BaseException:
                 self._rows.close()
+                if new:
+                    path.unlink(missing_ok=True)
                 raise
         except (sqlite3.Error, OSError, ValueError) as e:
             remedy = "is another run at it? else remove it" if "locked" in str(e) else "remove it to start anew"

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from vlmm_log.outputs import takes_files
 from vlmm_log.types import InputError
 
 LOGS = ("metadata.yaml", "rgb.txt")  # what the folders hold that may be replaced
@@ -32,7 +33,7 @@ def claim_folder(path: Path, inputs: Iterable[Path], *, force: bool) -> None:
         there = next(parent for parent in full.parents if parent.exists())
     except (OSError, ValueError) as e:
         raise InputError(f"{path!s}: cannot be written: {e}; name another folder") from e
-    if not there.is_dir() or not os.access(there, os.W_OK):
+    if not takes_files(there):
         raise InputError(f"{path}: cannot be written: no folders can be made in {there}")
 
 
