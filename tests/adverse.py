@@ -68,9 +68,13 @@ def _run(folder: Path, arguments: tuple[str, ...], machine: Machine) -> None:
     if machine.largest_file is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (machine.largest_file, machine.largest_file))
     if machine.more_memory is not None:
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (used + machine.more_memory,) * 2)
+        _limit(machine.more_memory)
     cli.main()
+
+
+def _limit(more: int) -> None:
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + more,) * 2)
 
 
 def _watch(path: str, how: str) -> None:
@@ -97,7 +101,11 @@ def _remove(path: Path) -> None:
     shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
-LOSSES: dict[str, Callable[[Path], None]] = {"removed": _remove, "cut": _half}
+LOSSES: dict[str, Callable[[Path], None]] = {
+    "removed": _remove,
+    "cut": _half,
+    "no memory": lambda _: _limit(0),
+}
 
 
 def content(folder: Path) -> dict[str, bytes]:
