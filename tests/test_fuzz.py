@@ -216,6 +216,7 @@ def test_a_damaged_message_of_a_recording_is_told_where_it_lies(tmp_path):
     with (tmp_path / "a.rrd").open("rb") as f:
         assert first_damage(f, len(data)) is None
         messages = [(at, length) for kind, at, length in places(f, len(data)) if kind == 2]
+    messages = [(at, n) for at, n in messages if b"legend" not in data[at : at + n]]  # bare pixels may be anything
     for at, length in messages[::9]:
         broken = bytearray(data)
         broken[at + length // 2 : at + length // 2 + 40] = bytes(40)
