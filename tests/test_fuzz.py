@@ -216,17 +216,23 @@ def test_a_damaged_message_of_a_recording_is_told_where_it_lies(tmp_path):
     with (tmp_path / "a.rrd").open("rb") as f:
         assert first_damage(f, len(data)) is None
         messages = [(at, length) for kind, at, length in places(f, len(data)) if kind == 2]
-    told = []
-    for at, length in messages[::9]:
+    unnoticed = 0
+    for k, (at, length) in enumerate(messages):
         broken = bytearray(data)
         broken[at + length // 2 : at + length // 2 + 40] = bytes(40)
         (tmp_path / "a.rrd").write_bytes(broken)
-        try:
-            open_recording(tmp_path / "a.rrd")
-            told.append(False)  # bare pixels, of the legend, may be anything
-        except InputError as e:
-            told.append(f"its message at byte {at} is damaged; process the log again" in str(e))
-    assert sum(told) >= len(told) - 1 > 3
+        with (tmp_path / "a.rrd").open("rb") as f:
+            damage = first_damage(f, len(broken))
+        if damage is None:  # within a picture's or a text's own bytes, of which the format has no checksum
+            unnoticed += 1
+            recording = open_recording(tmp_path / "a.rrd")
+            assert sum(1 for _ in recording.entries(recording.entities)) > 0
+            continue
+        assert damage == at
+        if k % 9 == 0:
+            with pytest.raises(InputError, match=f"its message at byte {at} is damaged; process the log again"):
+                open_recording(tmp_path / "a.rrd")
+    assert unnoticed < 0.05 * len(messages)
 
 
 def test_what_a_recording_says_of_its_run_is_checked(tmp_path):
