@@ -21,10 +21,8 @@ from rich.table import Table
 from benchmarks.data import ROOT
 
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "examples")]
-from killing import DEEDS, BrokenPromiseError, trial, whole  # noqa: E402
+from killing import DEEDS, FOUND, BrokenPromiseError, trial, whole  # noqa: E402
 from small_room import write_small_room  # noqa: E402
-
-FOUND = ("nothing", "begun", "readable", "done")
 
 
 def main() -> None:

@@ -30,6 +30,7 @@ from vlmm_log.settings import ReadSettings
 from vlmm_log.types import InputError
 from vlmm_log.workers import slot
 
+FOUND = ("nothing", "begun", "readable", "done")  # how far a run had come when it was killed
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(["vlmm_log.api", "vlmm_log.cli", "vlmm_log.conversion", "vlmm_log.fleet", "killing"])
 
@@ -134,7 +135,7 @@ def trial(deed: Deed, room: Path, folder: Path, good: Whole, rng: np.random.Gene
 
 
 def after_the_kill(deed: Deed, folder: Path, reference: Path, *, old: bool) -> str:
-    """How far it had come: "nothing", "begun", "readable" or "done"; an output under its own name is whole."""
+    """One of FOUND; an output under its own name is whole."""
     there = [name for name in deed.outputs if (folder / name).exists()]
     if deed.name != "batch":
         for name in there:

@@ -10,8 +10,10 @@ import sqlite3
 import struct
 import zlib
 from functools import cache
+from itertools import cycle
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 
 import cv2
 import lz4.frame
@@ -32,9 +34,10 @@ from vlmm_log.models.yolo import Yolo
 from vlmm_log.readers import open_log
 from vlmm_log.readers.bag import decompression
 from vlmm_log.readers.bag.containers import MessageError, open_container
-from vlmm_log.readers.bag.rosbag2 import open_rosbag2
+from vlmm_log.readers.bag.rosbag2 import _files, open_rosbag2
 from vlmm_log.readers.bag.schemas import Schema, decoder
 from vlmm_log.readers.bag.sqlite import open_sqlite
+from vlmm_log.readers.bag.sqlite_rows import rows_of
 from vlmm_log.readers.bag.synchronise import MOST_WAITING, synchronised
 from vlmm_log.readers.intrinsics import from_file
 from vlmm_log.readers.stamps import associate
@@ -208,6 +211,29 @@ def test_images_that_lie_near_to_each_other_take_no_time():
     assert len(items) == MOST_WAITING + 2 * (20_000 - MOST_WAITING)
 
 
+class Circle:
+    """A table whose damaged tree leads back to where it came from, as `benchmarks.fuzz` found one."""
+
+    def execute(self, query, _after):
+        rows = cycle([(1, 1, 10), (2, 1, 20), (3, 1, 30)])
+        return SimpleNamespace(fetchone=lambda: next(rows)) if "LIMIT" in query else rows
+
+
+def test_rows_that_lead_back_are_read_once():
+    rows = rows_of(Circle())
+    assert rows.ids.tolist() == [1, 2, 3]
+    assert [(x.what, x.reason) for x in rows.losses] == [("rows after 3", "rows cannot be read")]
+
+
+def test_a_part_whose_name_no_file_can_have_is_missing(tmp_path):
+    names = ["a_0.db3", "b" * 300 + ".db3"]
+    told = {"relative_file_paths": names}
+    (tmp_path / "a_0.db3").write_bytes(b"")
+    losses = []
+    assert _files(tmp_path, told, losses) == [tmp_path / "a_0.db3"]
+    assert [(x.what, x.reason) for x in losses] == [(names[1], "part named in metadata.yaml is missing")]
+
+
 def test_a_damaged_message_of_a_recording_is_told_where_it_lies(tmp_path):
     """Rerun's own decoder may end the process."""
     form = next(form for form in FORMATS if form.name == "recording, rrd")
@@ -216,12 +242,23 @@ def test_a_damaged_message_of_a_recording_is_told_where_it_lies(tmp_path):
     with (tmp_path / "a.rrd").open("rb") as f:
         assert first_damage(f, len(data)) is None
         messages = [(at, length) for kind, at, length in places(f, len(data)) if kind == 2]
-    for at, length in messages[::9]:
+    unnoticed = 0
+    for k, (at, length) in enumerate(messages):
         broken = bytearray(data)
         broken[at + length // 2 : at + length // 2 + 40] = bytes(40)
         (tmp_path / "a.rrd").write_bytes(broken)
-        with pytest.raises(InputError, match=f"its message at byte {at} is damaged; process the log again"):
-            open_recording(tmp_path / "a.rrd")
+        with (tmp_path / "a.rrd").open("rb") as f:
+            damage = first_damage(f, len(broken))
+        if damage is None:  # within a picture's or a text's own bytes, of which the format has no checksum
+            unnoticed += 1
+            recording = open_recording(tmp_path / "a.rrd")
+            assert sum(1 for _ in recording.entries(recording.entities)) > 0
+            continue
+        assert damage == at
+        if k % 9 == 0:
+            with pytest.raises(InputError, match=f"its message at byte {at} is damaged; process the log again"):
+                open_recording(tmp_path / "a.rrd")
+    assert unnoticed < 0.05 * len(messages)
 
 
 def test_what_a_recording_says_of_its_run_is_checked(tmp_path):

@@ -64,14 +64,15 @@ def _metadata(path: Path) -> tuple[Mapping[str, Any], list[Skipped]]:
 
 def _files(path: Path, told: Mapping[str, Any], losses: list[Skipped]) -> list[Path]:
     """The parts that are there, in order."""
-    present = sorted((p for p in path.iterdir() if p.is_file() and is_part(p)), key=_natural)
+    there = {p.name: p for p in path.iterdir() if p.is_file()}
+    present = sorted(filter(is_part, there.values()), key=_natural)
     if not told:
         _check_one(path, present)
         return present
     files = []
     for name in (PurePath(entry).name for entry in told["relative_file_paths"]):
         spellings = (name, name.removesuffix(".zstd"), f"{name}.zstd")  # someone may have compressed or expanded it
-        found = next((path / n for n in spellings if (path / n).is_file()), None)
+        found = next((there[n] for n in spellings if n in there), None)
         if found is None:
             losses.append(Skipped(0, name, "part named in metadata.yaml is missing"))
         else:

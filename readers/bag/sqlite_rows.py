@@ -149,8 +149,12 @@ class DamagedPageError(Exception):
 
 def _blocks(db: sqlite3.Connection, after: int) -> Iterator[Int64]:
     block: list[tuple[int, int, int, int]] = []  # the last is 1 where a damaged file holds something else
+    least = after + 1
     try:
         for row in db.execute(_LIST, (after,)):
+            if _number(row[0]) < least:  # a damaged tree leads back: one would go round for ever
+                raise DamagedPageError(np.array(block, np.int64).reshape(-1, 4))
+            least = _number(row[0])
             block.append((*row, 0) if all(type(value) is int for value in row) else (_number(row[0]), 0, 0, 1))
             if len(block) == 65536:
                 yield np.array(block, np.int64)
@@ -173,7 +177,8 @@ def _behind(db: sqlite3.Connection, after: int) -> int | None:
         if row > LAST_ROW:
             return False
         try:
-            return db.execute(_PROBE, (row,)).fetchone() is not None
+            found = db.execute(_PROBE, (row,)).fetchone()
+            return found is not None and _number(found[0]) > row
         except sqlite3.DatabaseError:
             return False
 
