@@ -108,7 +108,7 @@ def _told(e: Exception) -> str:
         why = f" ({' '.join(str(e).split())[:200]})" if str(e) else ""
         return f"out of memory{why}: give fewer --workers, or a window by --start and --stop"
     if isinstance(e, OSError):
-        return str(e) if e.filename else f"cannot be printed: {e.strerror or e}"
+        return str(e) if e.filename or not e.strerror else f"cannot be written: {e.strerror}"
     return f"internal error: {type(e).__name__}: {' '.join(str(e).split())}; run again with --debug and report it"
 
 

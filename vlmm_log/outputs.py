@@ -49,8 +49,8 @@ def claim(
     """Refuse before a long run what could not be written after it.
 
     ``unfinished``: what an earlier run left as NAME.partial may be replaced; ``ours``: whole outputs that it had put in
-    place already. Raises InputError where a name is a
-    folder, taken (without ``force``), an input, named twice, or in a place that takes no file.
+    place already. Raises InputError where a name is a folder, taken (without ``force``), an input, named twice, or in a
+    place that takes no file.
     """
     read = {path.resolve() for path in inputs}
     taken: set[Path] = set()
