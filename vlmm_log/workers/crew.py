@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 from collections import deque
 from collections.abc import Generator, Iterator
@@ -138,7 +139,7 @@ class Crew:
 
     def _send(self, hand: Hand, message: Any) -> None:
         try:
-            hand.connection.send(message)
+            hand.connection.send_bytes(pickle.dumps(message))  # where a worker is gone, send()'s buffer crashes 3.12
         except OSError as e:
             raise _ended(hand) from e
 
