@@ -123,12 +123,11 @@ def trial(deed: Deed, room: Path, folder: Path, good: Whole, rng: np.random.Gene
         raise BrokenPromiseError(f"it failed by itself: {_told(folder)}")
     found = after_the_kill(deed, folder, reference, old=old)
     if found != "done":
-        forced = deed.again if old or _anything(deed, folder) else ()
+        forced = deed.again if old or _anything(folder) else ()
         _succeed(folder, room, (*deed.run, *forced))
     for name in deed.outputs:
         _check_equal(reference / name, folder / name)
-    left = {p.name for p in folder.iterdir()} - {*deed.outputs, *BESIDE}
-    left |= {p.name for p in (folder / "tmp").glob("vlmm-log-*")}
+    left = _left(deed, folder) | {p.name for p in (folder / "tmp").glob("vlmm-log-*")}
     if left:
         raise BrokenPromiseError(f"left behind: {sorted(left)}")
     return found
@@ -146,7 +145,7 @@ def after_the_kill(deed: Deed, folder: Path, reference: Path, *, old: bool) -> s
     if not partials:
         whole_batch = deed.name == "batch" and (folder / "out" / "manifest.json").exists()
         done = len(there) == len(deed.outputs) and not old and (deed.name != "batch" or whole_batch)
-        return "done" if done else "begun" if _anything(deed, folder) else "nothing"
+        return "done" if done and not _left(deed, folder) else "begun" if _anything(folder) else "nothing"
     if not deed.name.startswith(("process", "batch")):
         return "begun"
     found = "begun"
@@ -209,7 +208,11 @@ def _told(folder: Path) -> str:
     return (folder / "told.txt").read_text().strip()[-300:]
 
 
-def _anything(deed: Deed, folder: Path) -> bool:
+def _left(deed: Deed, folder: Path) -> set[str]:
+    return {p.name for p in folder.iterdir()} - {*deed.outputs, *BESIDE}
+
+
+def _anything(folder: Path) -> bool:
     return any(p.name not in BESIDE for p in folder.iterdir())
 
 

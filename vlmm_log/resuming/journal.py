@@ -117,7 +117,8 @@ class Journal:
         """Nothing is left to go on with."""
         self._open = False
         self._rows.close()
-        self._path.unlink(missing_ok=True)
+        for path in (self._path.with_name(f"{self._path.name}-journal"), self._path):  # SQLite's own of a killed run
+            path.unlink(missing_ok=True)
 
     def _recalled(self, stream: Iterator[FramePair | Skipped]) -> Iterator[tuple[FramePair, Looked] | Skipped]:
         for pair, looked in self._known():
