@@ -71,9 +71,9 @@ def _upper(rng: Rng, wood: Material, handle: Material, duration_s: float) -> lis
         if k == 0:
             hung = assembled(*(solid(moved(p.mesh, shift(w / 2, 0)), p.material) for p in leaf.pieces))
             motion = course(rng, 1.35, 0.9, duration_s)
-            things.append(hinged("cabinet", hung, T @ shift(-w / 2, -0.002), motion, -1.0))
+            things.append(hinged("cabinet door", hung, T @ shift(-w / 2, -0.002), motion, -1.0))
         else:
-            things.append(building.still("cabinet", leaf, T))
+            things.append(building.still("cabinet door", leaf, T))
     return things
 
 
