@@ -6,7 +6,6 @@ folder made or removed: each such step of a command is met as often as the next,
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import shutil
 import signal
@@ -20,6 +19,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import numpy as np
+from command_line import SERVER
 
 import vlmm_log
 from vlmm_log import cli
@@ -31,8 +31,6 @@ from vlmm_log.types import InputError
 from vlmm_log.workers import slot
 
 FOUND = ("nothing", "begun", "readable", "done")  # how far a run had come when it was killed
-SERVER = multiprocessing.get_context("forkserver")
-SERVER.set_forkserver_preload(["vlmm_log.api", "vlmm_log.cli", "vlmm_log.conversion", "vlmm_log.fleet", "killing"])
 
 
 @dataclass(frozen=True)

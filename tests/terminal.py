@@ -11,8 +11,8 @@ import termios
 COMMAND = [sys.executable, "-c", "from vlmm_log.cli import main; main()"]
 
 
-def in_terminal(*args, cwd, columns, rows=24, **variables):
-    """Exit code and text of ``vlmm-log *args`` where stdout and stderr are one terminal."""
+def in_terminal(*args, cwd, columns, rows=24, until=None, **variables):
+    """Exit code and text of ``vlmm-log *args`` where stdout and stderr are one terminal; killed at the words ``until``."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     unset = ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")
@@ -30,5 +30,7 @@ def in_terminal(*args, cwd, columns, rows=24, **variables):
             if not piece:
                 break
             shown += piece
+            if until is not None and until.encode() in shown:
+                running.kill()
     os.close(ours)
     return running.returncode, shown.decode()

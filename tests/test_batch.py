@@ -13,6 +13,7 @@ from pathlib import Path
 import jsonschema
 import pyarrow.parquet as pq
 import pytest
+from command_line import command
 
 import fake_work
 import vlmm_log
@@ -54,9 +55,8 @@ def start(*args, cwd):
 
 
 def run(*args, cwd):
-    process = start(*args, cwd=cwd)
-    out, err = process.communicate(timeout=300)
-    return process.returncode, out, err
+    done = command(*args, cwd=cwd)
+    return done.returncode, done.stdout, done.stderr
 
 
 def read_manifest(out):

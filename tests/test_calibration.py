@@ -3,12 +3,11 @@
 import dataclasses
 import itertools
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import command
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -318,13 +317,6 @@ def test_judgements_come_back(room, tmp_path, dialect, dense):
 
 
 # ---- the command line
-
-
-def command(*args, cwd):
-    code = "from vlmm_log.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, *map(str, args)], cwd=cwd, capture_output=True, text=True, check=False
-    )
 
 
 def test_the_command_takes_a_file_and_refuses_another_s(room, tmp_path):

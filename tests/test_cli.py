@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from command_line import command
 
 from tum_folder import ORIGIN_NS, png, rows, write_tum_folder
 
@@ -19,13 +20,9 @@ def python(code, *args, cwd):
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
 
 
-def vlmm_log(*args, cwd):
-    return python("from vlmm_log.cli import main; main()", *args, cwd=cwd)
-
-
 def refused(*args, cwd, kept=()):
     """The one line with which the command line refuses; no file was left behind but those in ``kept``."""
-    done = vlmm_log(*args, cwd=cwd)
+    done = command(*args, cwd=cwd)
     assert done.returncode == 2, done
     left = [p for p in cwd.rglob("*") if p.suffix in (".rrd", ".partial")]
     assert sorted(left) == sorted(kept)
@@ -145,7 +142,7 @@ def test_a_command_that_cannot_be_used(tmp_path, args):
 @pytest.mark.parametrize("name", ["read.stop_s", "read.association_s", "read.pose_gap_s", "read.depth_max_m"])
 def test_a_limit_may_be_infinite(tum_folder, tmp_path, name):
     tum_folder(**GOOD)
-    done = vlmm_log("process", "log", "--set", f"{name}=inf", cwd=tmp_path)
+    done = command("process", "log", "--set", f"{name}=inf", cwd=tmp_path)
     assert (done.returncode, (tmp_path / "log.rrd").is_file()) == (0, True), done.stderr
 
 
@@ -154,7 +151,7 @@ def good(tmp_path_factory):
     """A folder with a log in it, and what processing it as JSON printed."""
     folder = tmp_path_factory.mktemp("good")
     write_tum_folder(folder / "log", **GOOD, files={"depth/5.png": b""})
-    return folder, vlmm_log("process", "log", "--rrd", "a.rrd", "--json", cwd=folder)
+    return folder, command("process", "log", "--rrd", "a.rrd", "--json", cwd=folder)
 
 
 def no_constant(name):
@@ -189,7 +186,7 @@ def test_an_existing_output_is_kept_unless_forced(good):
     bad = refused("process", "log", "--rrd", "a.rrd", "--force", "--start", "9", cwd=folder, kept=[out])
     assert "no pair of frames" in bad
     assert out.read_bytes() == before
-    done = vlmm_log("process", "log", "--rrd", "a.rrd", "--force", "--gap", "2", "--json", cwd=folder)
+    done = command("process", "log", "--rrd", "a.rrd", "--force", "--gap", "2", "--json", cwd=folder)
     assert done.returncode == 0
     assert out.read_bytes() != before
     again, once = json.loads(done.stdout), json.loads(first.stdout)
@@ -198,14 +195,14 @@ def test_an_existing_output_is_kept_unless_forced(good):
 
 def test_a_good_run_without_poses_is_as_quiet(tum_folder, tmp_path):
     tum_folder(**GOOD | {"groundtruth": None})
-    done = vlmm_log("process", "log", "--rrd", "a.rrd", "--json", cwd=tmp_path)
+    done = command("process", "log", "--rrd", "a.rrd", "--json", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert "no poses" in json.loads(done.stdout)["notes"]
 
 
 def test_without_a_named_output_it_is_named_after_the_log(good, tmp_path):
     folder, _ = good
-    done = vlmm_log("process", folder / "log", "--profile", "paper", "--start", "0.1", cwd=tmp_path)
+    done = command("process", folder / "log", "--profile", "paper", "--start", "0.1", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert "wrote log.rrd" in done.stdout
     assert "coverage (pixels scored)" in done.stdout
@@ -235,7 +232,8 @@ def test_labels_cannot_steer_the_terminal():
 def test_an_encoding_that_lacks_letters_is_no_error(tum_folder, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONIOENCODING", "latin-1")
     tum_folder("Stuhl_\u6905", **GOOD)
-    done = vlmm_log("info", "Stuhl_\u6905", cwd=tmp_path)
+    run = "from vlmm_log.cli import main; main()"
+    done = python(run, "info", "Stuhl_\u6905", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("Stuhl_\\u6905 (tum)")
-    assert refused("info", "\u6905", cwd=tmp_path).startswith("vlmm-log: \\u6905: no such file")
+    assert python(run, "info", "\u6905", cwd=tmp_path).stderr == "vlmm-log: \\u6905: no such file or folder\n"

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -223,11 +224,12 @@ def test_only_a_first_run_tells_that_kernels_are_compiled(logs, tmp_path):
     pytest.importorskip("pty")
     from terminal import in_terminal
 
-    def shown(*words):
-        code, text = in_terminal(*words, cwd=logs, columns=80, XDG_CACHE_HOME=str(tmp_path))
+    def shown(*words, **how):
+        code, text = in_terminal(*words, cwd=logs, columns=80, **how)
         return code, text.count(COMPILING)
 
-    assert shown("doctor", "room") == (0, 0)
-    assert shown("process", "nowhere") == (2, 0)
-    assert shown("process", "room", "--rrd", "first.rrd") == (0, 1)
+    new = {"XDG_CACHE_HOME": str(tmp_path)}
+    assert shown("doctor", "room", **new) == (0, 0)
+    assert shown("process", "nowhere", **new) == (2, 0)
+    assert shown("process", "room", "--rrd", "first.rrd", until=COMPILING, **new) == (-signal.SIGKILL, 1)
     assert shown("process", "room", "--rrd", "second.rrd") == (0, 0)

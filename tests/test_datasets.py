@@ -6,13 +6,12 @@ import io
 import json
 import re
 import stat
-import subprocess
-import sys
 import tarfile
 import zipfile
 from dataclasses import replace
 
 import pytest
+from command_line import command, no_network
 
 from fake_site import Served, fake_site
 from tum_folder import CAMERA, write_tum_folder
@@ -416,31 +415,16 @@ def test_the_catalogue_says_what_a_user_must_know():
         named("freiburg3_waking_xyz", offers)
 
 
-def vlmm_log(*args, cwd, before=""):
-    code = f"{before}\nfrom vlmm_log.cli import main; main()"
-    command = [sys.executable, "-c", code, *map(str, args)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=60, check=False)
-
-
-NO_NETWORK = """
-import sys
-def refuse(event, args):
-    if event.startswith("socket."):
-        raise RuntimeError(event)
-sys.addaudithook(refuse)
-"""
-
-
 def test_the_list_asks_nobody_and_says_what_is_there(tmp_path):
     write_tum_folder(tmp_path / "rgbd_dataset_freiburg1_xyz")
     (tmp_path / "rgbd_bonn_crowd.zip.partial").write_bytes(bytes(2_000_000))
-    done = vlmm_log("datasets", "list", cwd=tmp_path, before=NO_NETWORK)
+    done = command("datasets", "list", cwd=tmp_path, before=no_network)
     assert done.returncode == 0, done.stderr
     lines = {line.split()[0]: line for line in done.stdout.splitlines()}
     assert lines["freiburg1_xyz"].endswith("[here]")
     assert lines["bonn_crowd"].endswith("[begun: 2 MB]")
     assert "licence: CC BY 4.0" in done.stdout
-    told = json.loads(vlmm_log("datasets", "list", "--json", cwd=tmp_path, before=NO_NETWORK).stdout)
+    told = json.loads(command("datasets", "list", "--json", cwd=tmp_path, before=no_network).stdout)
     assert [x["name"] for x in told if x["state"]] == ["freiburg1_xyz", "bonn_crowd"]
 
 
@@ -452,20 +436,20 @@ def test_the_command_shows_the_licence_and_says_whom_it_trusted(site, tmp_path, 
         tar.add(made, folder)
     site.files["/mirror.tgz"] = Served(out.getvalue())
     asked = ("datasets", "get", "freiburg1_rpy", "--url", f"{site.url}/mirror.tgz")
-    done = vlmm_log(*asked, cwd=tmp_path)
+    done = command(*asked, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "licence: CC BY 4.0" in done.stderr
     assert "please cite: J. Sturm" in done.stderr
     assert "nobody publishes one, so this download was trusted" in done.stdout
-    assert vlmm_log("info", folder, cwd=tmp_path).returncode == 0
-    again = vlmm_log(*asked, cwd=tmp_path)
+    assert command("info", folder, cwd=tmp_path).returncode == 0
+    again = command(*asked, cwd=tmp_path)
     assert (again.returncode, again.stderr.splitlines()[-1]) == (
         2,
         f"vlmm-log: {folder}: exists; give --force to replace it",
     )
-    told = vlmm_log(*asked, "--force", "--json", cwd=tmp_path)
+    told = command(*asked, "--force", "--json", cwd=tmp_path)
     assert json.loads(told.stdout)["sha256_by"] == "the first download"
-    gone = vlmm_log(*asked[:-1], f"{site.url}/gone", "--force", cwd=tmp_path)
+    gone = command(*asked[:-1], f"{site.url}/gone", "--force", cwd=tmp_path)
     assert gone.returncode == 2
     assert "licence" in gone.stderr.splitlines()[1]  # also before a download that fails
     assert "status 404" in gone.stderr.splitlines()[-1]

@@ -13,6 +13,7 @@ import cv2
 import jsonschema
 import numpy as np
 import pytest
+from command_line import command
 from rerun.chunk import Chunk
 
 import render_room
@@ -574,11 +575,6 @@ def test_what_a_killed_run_left_is_compared_and_what_is_missing_told(room, recor
         assert done.elements.changes == ()
 
 
-def cli(*arguments, cwd):
-    command = [sys.executable, "-c", "from vlmm_log.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
-
-
 def test_the_command_its_outputs_and_exit_codes(recording, tmp_path):
     hostile = "<script>alert(1)</script>"
     edit = cell("world/map/elements", 6, "label", lambda v: [hostile, *v[1:]])
@@ -586,10 +582,10 @@ def test_the_command_its_outputs_and_exit_codes(recording, tmp_path):
     source.mkdir()
     a = shutil.copy(recording, source / "a.rrd")
     b = rewritten(recording, source / "b&lt;.rrd", lambda e, x: edit(e, PLANTED["one pixel of d_M"][0](e, x)))
-    done = cli("diff", a, a, cwd=tmp_path)
+    done = command("diff", a, a, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert "the same; both hold 7 pairs" in done.stdout
-    done = cli("diff", a, b, "--json", "d.json", "--html", "d.html", "--rrd", "d.rrd", cwd=tmp_path)
+    done = command("diff", a, b, "--json", "d.json", "--html", "d.html", "--rrd", "d.rrd", cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     assert "first divergence: frame 3, stage motion" in done.stdout
     jsonschema.validate(json.loads((tmp_path / "d.json").read_text()), SCHEMA)
@@ -600,13 +596,13 @@ def test_the_command_its_outputs_and_exit_codes(recording, tmp_path):
     assert page.count("data:image/jpeg") >= 4
     verify = [sys.executable, "-m", "rerun_cli", "rrd", "verify", tmp_path / "d.rrd"]
     assert subprocess.run(verify, capture_output=True, check=False).returncode == 0
-    again = cli("diff", a, b, "--json", "-", cwd=tmp_path)
+    again = command("diff", a, b, "--json", "-", cwd=tmp_path)
     assert json.loads(again.stdout)["first"]["frame"] == 3
-    refused = cli("diff", a, b, "--json", "d.json", cwd=tmp_path)
+    refused = command("diff", a, b, "--json", "d.json", cwd=tmp_path)
     assert refused.returncode == 2 and "--force" in refused.stderr
-    cli("diff", a, b, "--html", "e.html", cwd=tmp_path)
+    command("diff", a, b, "--html", "e.html", cwd=tmp_path)
     assert (tmp_path / "e.html").read_text() == page, "the same bytes"
-    absent = cli("diff", a, "none.rrd", cwd=tmp_path)
+    absent = command("diff", a, "none.rrd", cwd=tmp_path)
     assert (absent.returncode, len(absent.stderr.splitlines())) == (2, 1)
 
 

@@ -70,7 +70,7 @@ kitchenware: plate, Pan, Pot, bowl, fork, cup | laptop, chair, cat
 trash can: GarbageCan, garbage bin, trash can, bin | can opener, watering can, tray
 ball: sports ball, BasketBall, football, ball | ballet, bowl, balloon, bell
 bag: handbag, backpack, suitcase, GarbageBag, bag | bagel, badge, bug
-door: door, ShowerDoor, doors, sliding door, cabinet door, FridgeDoor | doorbell, donut, drawer, window, cabinet, refrigerator
+door: door, ShowerDoor, doors, sliding door, cabinet door, FridgeDoor | doorbell, donut, drawer, window, cabinet, fridge
 cabinet door: cabinet door, cupboard door, Cabinet | door, fridge door, drawer, window
 lamp: DeskLamp, FloorLamp, lamp, lamps | lamb, stamp, traffic light, clamp
 toy: teddy bear, toy | tie, boy, toilet

@@ -3,11 +3,11 @@
 import json
 import re
 import shutil
-import subprocess
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
+from command_line import command
 from small_room import write_masks, write_small_room
 
 
@@ -18,15 +18,11 @@ def room(tmp_path_factory):
     return folder
 
 
-def command(*args, cwd):
-    code = "from vlmm_log.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, "eval", *map(str, args)], cwd=cwd, capture_output=True, text=True, check=False
-    )
+evaluate = partial(command, "eval")
 
 
 def test_json_on_standard_output_is_nothing_else(room, tmp_path):
-    done = command(room, "--json", "-", cwd=tmp_path)
+    done = evaluate(room, "--json", "-", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     (e,) = json.loads(done.stdout)["evaluations"]
     assert e["pixels"][0]["ap"] > 0.5 and e["things"]["elements"] == 4
@@ -37,34 +33,34 @@ def test_everything_at_once(room, tmp_path):
     asked = ["--ablate", "--baselines", "--association", "--pose-noise", "1.5,3"]
     asked += ["--sweep", "objects.quantile=0.5,0.9", "--gap", "1"]
     outputs = ("--calibrate", "c.json", "--html", "e.html", "--json", "e.json")
-    done = command(room, *asked, *outputs, cwd=tmp_path)
+    done = evaluate(room, *asked, *outputs, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == "" or "pairs" in done.stderr
     for word in ("without row-linear ego", "objects.quantile=0.9", "Khronos-style", "IDF1", "ECE of", "wrote c.json"):
         assert word in done.stdout
     assert not re.search(r"\bnan\b", done.stdout)
-    again = command(room, *asked, *outputs, cwd=tmp_path)
+    again = evaluate(room, *asked, *outputs, cwd=tmp_path)
     assert again.returncode == 2 and "--force" in again.stderr
-    judged = command(room, "--gap", "1", "--calibration", "c.json", cwd=tmp_path)
+    judged = evaluate(room, "--gap", "1", "--calibration", "c.json", cwd=tmp_path)
     assert judged.returncode == 0 and "ECE of calibrated" in judged.stdout
-    other = command(room, "--calibration", "c.json", cwd=tmp_path)
+    other = evaluate(room, "--calibration", "c.json", cwd=tmp_path)
     assert other.returncode == 2 and "keyframes.gap" in other.stderr
 
 
 def test_without_movers_a_dash_is_shown(room, tmp_path):
     write_masks(tmp_path / "still", {k: np.zeros((120, 160)) for k in range(3)})
-    done = command(room, "--truth", "still", "--html", "e.html", cwd=tmp_path)
+    done = evaluate(room, "--truth", "still", "--html", "e.html", cwd=tmp_path)
     assert done.returncode == 0 and "arning" not in done.stderr
     assert "–" in done.stdout and not re.search(r"\bnan\b", done.stdout)
-    told = command(room, "--truth", "still", "--calibrate", "c.json", cwd=tmp_path)
+    told = evaluate(room, "--truth", "still", "--calibrate", "c.json", cwd=tmp_path)
     assert told.returncode == 2 and "nothing to fit" in told.stderr
 
 
 def test_a_segmenter_that_is_named_is_taken(room, tmp_path):
-    done = command(room, "--segmenter", "geometric", "--json", "-", cwd=tmp_path)
+    done = evaluate(room, "--segmenter", "geometric", "--json", "-", cwd=tmp_path)
     (e,) = json.loads(done.stdout)["evaluations"]
     assert "masks" not in e["versions"]
-    masks = command(room, "--json", "-", cwd=tmp_path)
+    masks = evaluate(room, "--json", "-", cwd=tmp_path)
     assert "masks" in json.loads(masks.stdout)["evaluations"][0]["versions"]
 
 
@@ -97,7 +93,7 @@ FAULTS = {
 @pytest.mark.parametrize("name", FAULTS)
 def test_errors_are_one_line_and_exit_2(room, tmp_path, name):
     arguments, expected = FAULTS[name]
-    done = command(*arguments(room, tmp_path), cwd=tmp_path)
+    done = evaluate(*arguments(room, tmp_path), cwd=tmp_path)
     assert done.returncode == 2 and done.stdout == ""
     assert expected in done.stderr and "internal error" not in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr

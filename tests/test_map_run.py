@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from command_line import command
 
 import render_room
 import vlmm_log
@@ -377,27 +378,22 @@ def test_somebody_elses_recording_is_refused(tmp_path):
         vlmm_log.load_map(tmp_path / "other.rrd")
 
 
-def cli(*args, cwd):
-    command = [sys.executable, "-c", "from vlmm_log.cli import main; main()", *map(str, args)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
-
-
 def test_the_query_command(run, tmp_path):
-    found = cli("query", run[2], "things that moved", "--json", cwd=tmp_path)
+    found = command("query", run[2], "things that moved", "--json", cwd=tmp_path)
     assert found.returncode == 0, found.stderr
     told = json.loads(found.stdout)
     assert sorted(a["label"] for a in told["answers"]) == ["ball", "box"]
     assert all("moved" in a["reason"] for a in told["answers"])
-    none = cli("query", run[1], "elephants", "--explain", cwd=tmp_path)
+    none = command("query", run[1], "elephants", "--explain", cwd=tmp_path)
     assert none.returncode == 1 and "elephant" in none.stdout
-    count = cli("query", run[1], "how many things moved", cwd=tmp_path)
+    count = command("query", run[1], "how many things moved", cwd=tmp_path)
     assert count.stdout.splitlines()[0].strip() == "2"
     for arguments in (
         ["nothing.json", "chairs"],
         [run[2], "blorb the flarn of 7"],
         [run[2], "chairs", "--parser", "x"],
     ):
-        refused = cli("query", *arguments, cwd=tmp_path)
+        refused = command("query", *arguments, cwd=tmp_path)
         assert refused.returncode == 2 and len(refused.stderr.splitlines()) == 1, refused.stderr
         assert not refused.stdout
 

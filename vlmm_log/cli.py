@@ -34,6 +34,7 @@ NO_MEMORY = (
     "new thread",
     "nsufficient memory",
     "os error 11",
+    "bad_alloc",
 )
 """What libraries say instead of raising MemoryError."""
 COMMANDS = (batch, completion, convert, datasets, diff, doctor, evaluate, info, process, query, render, simulate, view)
