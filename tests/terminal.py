@@ -12,7 +12,7 @@ COMMAND = [sys.executable, "-c", "from vlmm_log.cli import main; main()"]
 
 
 def in_terminal(*args, cwd, columns, rows=24, until=None, **variables):
-    """Exit code and text of ``vlmm-log *args`` where stdout and stderr are one terminal; killed at the words ``until``."""
+    """Exit code and text of ``vlmm-log *args`` where stdout and stderr are one terminal. Killed at ``until``."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     unset = ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")

@@ -61,7 +61,7 @@ def unharmed(made, arguments, machine):
     partials = [open_recording(made / name) for name in more if name.endswith(".rrd.partial")]
     for name in more:
         (made / name).unlink()
-    assert not any(partial.whole and partial.end and partial.end.complete for partial in partials)
+    assert not any(not partial.lost and partial.end and partial.end.complete for partial in partials)
     assert {name: data for name, data in after.items() if name in before} == before
     return said, more
 
