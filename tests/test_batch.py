@@ -173,7 +173,8 @@ def test_an_interrupted_call_goes_on_where_it_was(tmp_path, how, code):
     out = tmp_path / "out"
     process = start("batch", *sources, "--out", out, "--workers", 1, cwd=tmp_path)
     deadline = time.monotonic() + 120
-    while not list(out.glob("second-*.partial-*")) and time.monotonic() < deadline:
+    manifest = out / "manifest.json"  # written while the second log is begun already
+    while not (manifest.exists() and list(out.glob("second-*.partial-*"))) and time.monotonic() < deadline:
         time.sleep(0.01)
     process.send_signal(how)
     _, err = process.communicate(timeout=60)

@@ -276,10 +276,10 @@ def test_a_window_of_an_indexed_file_leaves_the_rest_unread(tmp_path):
     path = write_mcap(tmp_path / "far.mcap", rows, compression=CompressionType.NONE)
     found = open_container(path)
     data = bytearray(path.read_bytes())
-    inside = [p.start <= data.index(b"message 100 ") < p.stop for p in found.chunks.places]
+    inside = [p.at <= data.index(b"message 100 ") < p.stop for p in found.chunks.places]
     for place, kept in zip(found.chunks.places, inside, strict=True):
         if not kept:
-            data[place.start : place.stop] = bytes(place.stop - place.start)
+            data[place.at : place.stop] = bytes(place.stop - place.start)
     found.close()
     path.write_bytes(data)  # whoever reads more than the one chunk and the index finds nothing there
     messages, losses = opened(path, window=(ORIGIN_NS + 100, ORIGIN_NS + 101))
@@ -403,7 +403,7 @@ def test_a_damaged_chunk_is_skipped_and_the_next_ones_keep_their_ordinals(name, 
     place = found.chunks.places[1]
     found.close()
     data = bytearray(path.read_bytes())
-    middle = (place.start + place.stop) // 2
+    middle = (place.at + place.stop) // 2
     data[middle : middle + 50] = bytes(50)
     path.write_bytes(data)
     messages, losses = opened(path)

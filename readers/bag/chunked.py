@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import Any, BinaryIO, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -46,31 +46,62 @@ class Record(NamedTuple):
     sequence: int = 0  # as the writer counts them, where the format has it
 
 
-class Chunks(Protocol):
+class Place(Protocol):
+    """Where a chunk lies, and what the file's index says of it."""
+
+    @property
+    def at(self) -> int:
+        """Byte of the file where it begins, for people."""
+
+    @property
+    def index(self) -> tuple[int, int] | None:
+        """Bytes of its own index."""
+
+    @property
+    def times(self) -> Mapping[int, Int64] | None:
+        """Log times by channel where they are known already."""
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Log times of the first and last message."""
+
+
+P = TypeVar("P", bound=Place)
+
+
+@dataclass(eq=False)
+class Chunks(Generic[P]):
     """The chunks of one file, by number in the file's order."""
 
+    file: BinaryIO
+    places: Sequence[P]
     channels: Mapping[int, Channel]
+    read: Callable[[BinaryIO, P], Iterator[Record]]  # a chunk's messages, verified as far as the format allows
+    read_index: Callable[[BinaryIO, tuple[int, int]], Mapping[int, Int64]]  # log times by channel
 
     def __len__(self) -> int:
-        """How many."""
-
-    def spans(self, k: int) -> tuple[int, int]:
-        """Log times of chunk k's first and last message, as the file has it."""
-
-    def place(self, k: int) -> str:
-        """Where chunk k lies, for people."""
+        return len(self.places)
 
     def times(self, k: int) -> Mapping[int, Int64]:
         """Log times of chunk k's messages by channel, from the file's index if it has one. Raises ChunkError."""
+        place = self.places[k]
+        if place.times is not None:
+            return place.times
+        if place.index is not None:
+            return self.read_index(self.file, place.index)
+        return times_of(list(self.records(k)))
 
     def records(self, k: int) -> Iterator[Record]:
-        """The messages of chunk k, verified as far as the format allows. Raises ChunkError."""
+        """The messages of chunk k. Raises ChunkError."""
+        return self.read(self.file, self.places[k])
 
     def payloads_needed(self) -> bool:
         """Whether ``times`` has to read any payload."""
+        return any(place.times is None and place.index is None for place in self.places)
 
     def close(self) -> None:
         """Let go of the file."""
+        self.file.close()
 
 
 @dataclass(eq=False)
@@ -79,7 +110,7 @@ class Chunked:
 
     path: Path
     kind: str
-    chunks: Chunks
+    chunks: Chunks[Any]
     start_ns: int
     stop_ns: int
     losses: tuple[Skipped, ...]
@@ -134,9 +165,10 @@ class Chunked:
     def _runs(self, wanted: frozenset[str], start_ns: int, stop_ns: int) -> Iterator[Run]:
         for k, times in enumerate(self._times):
             if isinstance(times, str):
-                first_ns, last_ns = self.chunks.spans(k)
+                place = self.chunks.places[k]
+                first_ns, last_ns = place.span
                 if wanted and last_ns >= start_ns and first_ns < stop_ns:
-                    lost = Skipped(max(first_ns, start_ns), self.chunks.place(k), times)
+                    lost = Skipped(max(first_ns, start_ns), f"chunk at byte {place.at}", times)
                     yield Run(lost.stamp_ns, k, partial(iter, (lost,)))
                 continue
             inside = {n: own[_window(own, start_ns, stop_ns)] for n, own in times.items() if n in wanted}

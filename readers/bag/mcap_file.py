@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from vlmm_log.readers.bag.channels import Channel, channel, counted
-from vlmm_log.readers.bag.chunked import Chunked, ChunkError, Record, read_at, times_of
+from vlmm_log.readers.bag.chunked import Chunked, ChunkError, Chunks, Record, read_at
 from vlmm_log.readers.bag.mcap_index import ChunkPlace, McapIndex, chunk_data, from_summary, from_walk
 from vlmm_log.readers.bag.mcap_records import HEAD, MAGIC, indexed_times, messages, parsed
-from vlmm_log.types import InputError, Int64, Skipped
+from vlmm_log.types import InputError, Skipped
 
 
 def open_mcap(path: Path) -> Chunked:
@@ -35,7 +34,9 @@ def _opened(path: Path, file: BinaryIO, size: int) -> Chunked:
     channels = counted(_channels(index), counts)
     losses = [*index.losses, *_unknown(index, counts)]
     kind = f"MCAP ({profile})" if profile else "MCAP"
-    return Chunked(path, kind, McapChunks(file, index.chunks, channels), start_ns, stop_ns, tuple(losses))
+    return Chunked(
+        path, kind, Chunks(file, index.chunks, channels, _messages, indexed_times), start_ns, stop_ns, tuple(losses)
+    )
 
 
 def _profile(path: Path, file: BinaryIO) -> str:
@@ -79,42 +80,5 @@ def _unknown(index: McapIndex, counts: Mapping[int, int]) -> list[Skipped]:
     return [Skipped(0, f"{n} messages of channel {key}", "channel is not described") for key, n in lost.items()]
 
 
-@dataclass(eq=False)
-class McapChunks:
-    """See chunked.Chunks."""
-
-    file: BinaryIO
-    places: list[ChunkPlace]
-    channels: Mapping[int, Channel]
-
-    def __len__(self) -> int:
-        return len(self.places)
-
-    def spans(self, k: int) -> tuple[int, int]:
-        """See chunked.Chunks."""
-        return self.places[k].span
-
-    def place(self, k: int) -> str:
-        """See chunked.Chunks."""
-        return f"chunk at byte {self.places[k].start}"
-
-    def times(self, k: int) -> Mapping[int, Int64]:
-        """See chunked.Chunks."""
-        place = self.places[k]
-        if place.times is not None:
-            return place.times
-        if place.index is not None:
-            return indexed_times(self.file, place.index)
-        return times_of(list(self.records(k)))
-
-    def records(self, k: int) -> Iterator[Record]:
-        """See chunked.Chunks."""
-        return messages(chunk_data(self.file, self.places[k]))
-
-    def payloads_needed(self) -> bool:
-        """See chunked.Chunks."""
-        return any(c.times is None and c.index is None for c in self.places)
-
-    def close(self) -> None:
-        """See chunked.Chunks."""
-        self.file.close()
+def _messages(file: BinaryIO, place: ChunkPlace) -> Iterator[Record]:
+    return messages(chunk_data(file, place))

@@ -33,7 +33,7 @@ BARE_BYTES = 4 << 20  # messages outside chunks are read in pieces of about this
 class ChunkPlace:
     """A chunk record, or a piece of file with messages outside chunks."""
 
-    start: int  # byte of its first record's opcode
+    at: int  # byte of its first record's opcode
     stop: int
     index: tuple[int, int] | None  # bytes of its message index records
     times: dict[int, Int64] | None = None  # log times by channel where they are known already
@@ -89,11 +89,11 @@ def _summarised(summary: memoryview, data_stop: int) -> McapIndex | None:
             index.statistics = parsed(Statistics, content)
         else:
             index.learn(opcode, content)
-    index.chunks.sort(key=lambda c: c.start)
+    index.chunks.sort(key=lambda c: c.at)
     told = index.statistics
     complete = told is not None and (told.message_count == 0 or bool(index.chunks and told.channel_message_counts))
     listed = told is not None and told.channel_message_counts.keys() <= index.channels.keys()
-    inside = all(len(MAGIC) <= c.start < c.stop <= data_stop for c in index.chunks)
+    inside = all(len(MAGIC) <= c.at < c.stop <= data_stop for c in index.chunks)
     return index if complete and listed and inside else None
 
 
@@ -119,7 +119,7 @@ def from_walk(file: BinaryIO, size: int) -> McapIndex:
                 pieces.append(ChunkPlace(first, stop, (stop, stop)))
             case 0x07 if last and last.index:
                 pieces[-1] = replace(last, index=(last.stop, stop))
-            case 0x05 if last and not last.index and last.stop == first and stop - last.start < BARE_BYTES:
+            case 0x05 if last and not last.index and last.stop == first and stop - last.at < BARE_BYTES:
                 pieces[-1] = replace(last, stop=stop)
             case 0x05:
                 pieces.append(ChunkPlace(first, stop, None))
@@ -170,7 +170,7 @@ def _explored(file: BinaryIO, piece: ChunkPlace, index: McapIndex) -> ChunkPlace
 
 def chunk_data(file: BinaryIO, place: ChunkPlace) -> memoryview:
     """The records of a chunk, uncompressed and checked; of a piece without chunks, as they are. Raises ChunkError."""
-    data = read_at(file, place.start, place.stop - place.start)
+    data = read_at(file, place.at, place.stop - place.at)
     if data[:1] != b"\x06":
         return memoryview(data)
     if HEAD.unpack_from(data) != (0x06, len(data) - HEAD.size):
@@ -181,7 +181,7 @@ def chunk_data(file: BinaryIO, place: ChunkPlace) -> memoryview:
 def _told_span(file: BinaryIO, piece: ChunkPlace) -> tuple[int, int]:
     """Log times that a damaged chunk's own head gives, if they make sense; else all of time."""
     try:
-        first, last = struct.unpack("<qq", read_at(file, piece.start + HEAD.size, 16))
+        first, last = struct.unpack("<qq", read_at(file, piece.at + HEAD.size, 16))
     except ChunkError:
         first, last = 0, -1
     return (first, last) if 0 <= first <= last else (0, LATEST_NS)

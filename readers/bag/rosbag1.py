@@ -11,8 +11,8 @@ from typing import BinaryIO
 import numpy as np
 
 from vlmm_log.readers.bag.channels import Channel, counted
-from vlmm_log.readers.bag.chunked import Chunked, ChunkError, read_at
-from vlmm_log.readers.bag.rosbag1_chunks import BagChunks, BagPlace, chunk_place
+from vlmm_log.readers.bag.chunked import Chunked, ChunkError, Chunks, read_at
+from vlmm_log.readers.bag.rosbag1_chunks import BagPlace, chunk_messages, chunk_place, indexed_times
 from vlmm_log.readers.bag.rosbag1_records import (
     BAG_HEADER,
     CHUNK_INFO,
@@ -84,7 +84,7 @@ def _indexed(path: Path, file: BinaryIO, size: int) -> Chunked:
             counts[key] = counts.get(key, 0) + n
     places = [_place(file, r, end) for r, end in zip(infos, ends, strict=True)]
     start_ns, stop_ns = _extent([p for p, r in zip(places, infos, strict=True) if r.number(b"count")])
-    chunks = BagChunks(file, places, counted(channels, counts))
+    chunks = Chunks(file, places, counted(channels, counts), chunk_messages, indexed_times)
     return Chunked(path, "ROS 1 bag", chunks, start_ns, stop_ns, tuple(_unknown(channels, counts)))
 
 
@@ -125,6 +125,6 @@ def _recovered(path: Path, file: BinaryIO, size: int) -> Chunked:
         for key, own in (place.times or {}).items():
             counts[key] = counts.get(key, 0) + own.size
     start_ns, stop_ns = _extent([p for p in found.places if p.times])
-    chunks = BagChunks(file, found.places, counted(found.channels, counts))
+    chunks = Chunks(file, found.places, counted(found.channels, counts), chunk_messages, indexed_times)
     losses = [*found.losses, *_unknown(found.channels, counts)]
     return Chunked(path, "ROS 1 bag", chunks, start_ns, stop_ns, tuple(losses))

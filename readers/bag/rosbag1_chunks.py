@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import BinaryIO
 
@@ -30,7 +30,7 @@ from vlmm_log.types import Int64
 class BagPlace:
     """A chunk's data in the file, or records that stand there outside chunks."""
 
-    record: int  # byte where it begins, for people
+    at: int  # byte where it begins, for people
     start: int = 0  # of the data
     stop: int = 0
     compression: bytes = b""
@@ -68,8 +68,12 @@ def indexed_times(file: BinaryIO, place: tuple[int, int]) -> dict[int, Int64]:
     return {key: np.concatenate(own) for key, own in times.items()}
 
 
-def chunk_messages(data: memoryview, place: BagPlace) -> Iterator[Record]:
-    """The messages among a chunk's records; of one that is cut off, the whole ones. Raises ChunkError."""
+def chunk_messages(file: BinaryIO, place: BagPlace) -> Iterator[Record]:
+    """The messages of a chunk; of one that is cut off, the whole ones. Raises ChunkError."""
+    return _messages(chunk_data(file, place), place)
+
+
+def _messages(data: memoryview, place: BagPlace) -> Iterator[Record]:
     at = 0
     try:
         for record in records(data):
@@ -87,7 +91,7 @@ def explored(file: BinaryIO, place: BagPlace, channels: dict[int, Channel]) -> B
         times = indexed_times(file, place.index) if place.index else {}
         if not times or not times.keys() <= channels.keys():
             data = chunk_data(file, place)
-            times = times or times_of(list(chunk_messages(data, place)))
+            times = times or times_of(list(_messages(data, place)))
             for key, found in _connections(data, place):
                 channels.setdefault(key, found)
     except ChunkError:
@@ -105,44 +109,3 @@ def _connections(data: memoryview, place: BagPlace) -> Iterator[tuple[int, Chann
     except ChunkError:
         if place.size is not None:
             raise
-
-
-@dataclass(eq=False)
-class BagChunks:
-    """See chunked.Chunks."""
-
-    file: BinaryIO
-    places: list[BagPlace]
-    channels: Mapping[int, Channel]
-
-    def __len__(self) -> int:
-        return len(self.places)
-
-    def spans(self, k: int) -> tuple[int, int]:
-        """See chunked.Chunks."""
-        return self.places[k].span
-
-    def place(self, k: int) -> str:
-        """See chunked.Chunks."""
-        return f"chunk at byte {self.places[k].record}"
-
-    def times(self, k: int) -> Mapping[int, Int64]:
-        """See chunked.Chunks."""
-        place = self.places[k]
-        if place.times is not None:
-            return place.times
-        if place.index is not None:
-            return indexed_times(self.file, place.index)
-        return times_of(list(self.records(k)))
-
-    def records(self, k: int) -> Iterator[Record]:
-        """See chunked.Chunks."""
-        return chunk_messages(chunk_data(self.file, self.places[k]), self.places[k])
-
-    def payloads_needed(self) -> bool:
-        """See chunked.Chunks."""
-        return any(p.times is None and p.index is None for p in self.places)
-
-    def close(self) -> None:
-        """See chunked.Chunks."""
-        self.file.close()

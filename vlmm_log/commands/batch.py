@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections import Counter
 from pathlib import Path
@@ -12,8 +11,8 @@ import click
 
 from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import FAILED, INTERRUPTED
-from vlmm_log.commands.options import FILE, QUERIES, READING, SOURCES, added, as_settings, method
-from vlmm_log.commands.telling import known, print_rows, tell
+from vlmm_log.commands.options import AS_JSON, FILE, QUERIES, READING, SOURCES, added, as_settings, method
+from vlmm_log.commands.telling import known, print_rows, show, tell
 from vlmm_log.progress import progress
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ MOST_MOVERS = 6
 @QUERIES
 @method("As of process; {source} in a name is the log's path.")
 @added(*READING)
-@click.option("--json", "as_json", is_flag=True, help="Print how the logs stand as JSON.")
+@AS_JSON
 @as_settings
 def batch(
     sources: tuple[Path, ...],
@@ -78,10 +77,7 @@ def batch(
             gpus=gpus,
             progress=told,
         )
-    if as_json:
-        click.echo(json.dumps(done.report(), indent=2))
-    else:
-        print_batch(done)
+    show(done, print_batch, as_json=as_json)
     if not done.complete:
         sys.exit(INTERRUPTED)
     if done.of(State.FAILED):

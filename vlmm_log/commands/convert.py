@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from vlmm_log.commands.examples import examples
-from vlmm_log.commands.options import FILE, READING, SOURCE, added, as_settings
-from vlmm_log.commands.telling import tell
+from vlmm_log.commands.options import AS_JSON, FILE, FORCE, READING, SOURCE, added, as_settings
+from vlmm_log.commands.telling import show, tell
 from vlmm_log.progress import progress
 
 if TYPE_CHECKING:
@@ -30,8 +29,8 @@ if TYPE_CHECKING:
 @click.argument("out", type=FILE)
 @click.option("--to", help="mcap, bag, ros2, ros2-mcap or tum; if not given, by OUT's name.")
 @click.option("--compressed", is_flag=True, help="Encoded colour and compressedDepth instead of bare pixels.")
-@click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
+@FORCE
+@AS_JSON
 @as_settings
 def convert(
     source: Path, out: Path, to: str | None, compressed: bool, force: bool, as_json: bool, settings: Settings
@@ -45,10 +44,7 @@ def convert(
     form = "compressed" if compressed else "raw"
     with progress("images") as told:
         done = run(source, out, settings=settings, to=to or "", images=form, force=force, progress=told)
-    if as_json:
-        click.echo(json.dumps(done.report(), indent=2))
-    else:
-        print_converted(done)
+    show(done, print_converted, as_json=as_json)
 
 
 def print_converted(done: Converted) -> None:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from vlmm_log.commands.examples import examples
-from vlmm_log.commands.options import FILE
-from vlmm_log.commands.telling import printable, tell
+from vlmm_log.commands.options import AS_JSON, FILE, FORCE
+from vlmm_log.commands.telling import printable, show, tell
 from vlmm_log.progress import progress
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def datasets() -> None:
     ),
 )
 @click.option("--to", type=FILE, default=Path(), help="Folder to look in for what is there.")
-@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+@AS_JSON
 def list_datasets(to: Path, as_json: bool) -> None:
     """Say which sequences can be fetched, and what of them lies in the folder. No server is asked."""
     from vlmm_log.datasets import datasets as shelf
@@ -60,8 +60,8 @@ def list_datasets(to: Path, as_json: bool) -> None:
 @click.option("--url", default="", help="Another place that has the same archive.")
 @click.option("--sha256", default="", metavar="HEX", help="What the archive's hash has to be.")
 @click.option("--keep-archive", is_flag=True, help="Keep the archive after unpacking.")
-@click.option("--force", is_flag=True, help="Replace an existing sequence once the new one is complete.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was fetched as JSON.")
+@FORCE
+@AS_JSON
 def get_datasets(name: str, to: Path, url: str, sha256: str, keep_archive: bool, force: bool, as_json: bool) -> None:
     """Fetch the sequence NAME and unpack it. After a cut, the same command goes on.
 
@@ -82,10 +82,7 @@ def get_datasets(name: str, to: Path, url: str, sha256: str, keep_archive: bool,
             progress=told,
             tell=lambda line: click.echo(printable(line), err=True),
         )
-    if as_json:
-        click.echo(json.dumps(got.report(), indent=2))
-    else:
-        print_dataset(got)
+    show(got, print_dataset, as_json=as_json)
 
 
 def print_datasets(shelved: Sequence[Shelved]) -> None:

@@ -12,7 +12,7 @@ import click
 from vlmm_log.commands.diff_batches import tell_batches
 from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import FOUND
-from vlmm_log.commands.options import FILE
+from vlmm_log.commands.options import FILE, FORCE
 from vlmm_log.commands.telling import console, tell
 from vlmm_log.progress import progress
 
@@ -38,7 +38,7 @@ MOST_LINES = 40  # of a section
 @click.option("--json", "json_file", type=FILE, help="Write all of it as JSON; - prints it.")
 @click.option("--html", type=FILE, help="Write it as one page, with pictures of the worst frames.")
 @click.option("--rrd", type=FILE, help="Write A, B and their difference as one recording.")
-@click.option("--force", is_flag=True, help="Replace existing outputs.")
+@FORCE
 def diff(
     a: Path,
     b: Path,

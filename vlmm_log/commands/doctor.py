@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,8 +10,8 @@ import click
 
 from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import FOUND
-from vlmm_log.commands.options import READING, SOURCE, added, as_settings
-from vlmm_log.commands.telling import tell
+from vlmm_log.commands.options import AS_JSON, READING, SOURCE, added, as_settings
+from vlmm_log.commands.telling import show, tell
 from vlmm_log.progress import progress
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 )
 @SOURCE
 @added(*READING)
-@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+@AS_JSON
 @as_settings
 def doctor(source: Path, as_json: bool, settings: Settings) -> None:
     """Check SOURCE's conventions from its data, and name the flag that mends what is wrong. Exit code 1: findings.
@@ -40,10 +39,7 @@ def doctor(source: Path, as_json: bool, settings: Settings) -> None:
 
     with progress("checks") as told:
         diagnosis = run(source, settings=settings, progress=told)
-    if as_json:
-        click.echo(json.dumps(diagnosis.report(), indent=2))
-    else:
-        print_diagnosis(diagnosis)
+    show(diagnosis, print_diagnosis, as_json=as_json)
     if diagnosis.findings:
         sys.exit(FOUND)
 

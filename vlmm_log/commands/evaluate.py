@@ -12,6 +12,7 @@ from vlmm_log.commands.options import (
     EMBEDDER,
     FILE,
     FLOW,
+    FORCE,
     GAP,
     INTRINSICS,
     PROFILE,
@@ -60,7 +61,7 @@ WIDTH = 110  # of the tables at least: narrower cells are no longer read
 @click.option("--html", type=FILE, help="Write one page with tables, charts, worst frames.")
 @click.option("--rrd", "recordings", type=FILE, help="Folder for a recording of each way.")
 @click.option("--json", "json_file", type=FILE, help="Write all of it as JSON; - prints it.")
-@click.option("--force", is_flag=True, help="Replace existing outputs.")
+@FORCE
 @as_settings
 def evaluate(
     sources: tuple[Path, ...],

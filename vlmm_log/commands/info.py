@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from vlmm_log.commands.examples import examples
-from vlmm_log.commands.options import READING, SOURCE, added, as_settings
-from vlmm_log.commands.telling import known, print_rows, tell
+from vlmm_log.commands.options import AS_JSON, READING, SOURCE, added, as_settings
+from vlmm_log.commands.telling import known, print_rows, show, tell
 
 if TYPE_CHECKING:
     from vlmm_log.settings import Settings
@@ -26,17 +25,14 @@ if TYPE_CHECKING:
 )
 @SOURCE
 @added(*READING)
-@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+@AS_JSON
 @as_settings
 def info(source: Path, as_json: bool, settings: Settings) -> None:
     """Say what SOURCE holds: topics or lists, rates, sizes, intrinsics, poses, gaps."""
     from vlmm_log.survey import info as run
 
     told = run(source, settings=settings)
-    if as_json:
-        click.echo(json.dumps(told.report(), indent=2))
-    else:
-        print_info(told)
+    show(told, print_info, as_json=as_json)
 
 
 def print_info(told: Info) -> None:

@@ -25,6 +25,9 @@ FILE = click.Path(path_type=Path)
 SOURCE = click.argument("source", type=FILE)
 SOURCES = click.argument("sources", nargs=-1, required=True, metavar="SOURCE...", type=FILE)
 
+FORCE = click.option("--force", is_flag=True, help="Replace what exists once the new one is complete.")
+AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+
 # "a__b" is where the value goes: setting a.b
 TOPICS = click.option(
     "--topics", "read__topics", metavar="ROLE=NAME,...", help="Of a bag: rgb, depth, info, depth_info, pose."

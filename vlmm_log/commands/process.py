@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,8 +10,8 @@ import click
 
 from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import INTERRUPTED
-from vlmm_log.commands.options import FILE, QUERIES, READING, SOURCE, added, as_settings, method
-from vlmm_log.commands.telling import print_rows, tell
+from vlmm_log.commands.options import AS_JSON, FILE, FORCE, QUERIES, READING, SOURCE, added, as_settings, method
+from vlmm_log.commands.telling import print_rows, show, tell
 from vlmm_log.progress import progress
 
 if TYPE_CHECKING:
@@ -59,8 +58,8 @@ ROWS = {  # figure -> what the table calls it, how it is written
 @method("geometric (default), yolo:FILE.onnx, masks:FOLDER or none.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that share the work.")
 @click.option("--resume", is_flag=True, help="Keep what pairs show until all is written; go on where such a run ended.")
-@click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
-@click.option("--json", "as_json", is_flag=True, help="Print the closing figures as JSON.")
+@FORCE
+@AS_JSON
 @as_settings
 def process(
     source: Path,
@@ -100,10 +99,7 @@ def process(
             workers=workers,
             resume=resume,
         )
-    if as_json:
-        click.echo(json.dumps(done.report(), indent=2))
-    else:
-        print_processed(done)
+    show(done, print_processed, as_json=as_json)
     if done.resumed:
         click.echo(f"went on after {done.resumed} pairs of an earlier run", err=True)
     if not done.end.complete:

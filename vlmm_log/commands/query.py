@@ -11,7 +11,7 @@ import click
 
 from vlmm_log.commands.examples import examples
 from vlmm_log.commands.exits import NOTHING
-from vlmm_log.commands.options import FILE
+from vlmm_log.commands.options import AS_JSON, FILE, FORCE
 from vlmm_log.commands.telling import print_rows, tell
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 @click.option("--rrd", type=FILE, help="Write the hits as a recording that opens with the other.")
 @click.option("--masks", type=FILE, help="Folder for the hits' masks, a PNG a frame (of a .rrd).")
 @click.option("--grid", type=FILE, help="Occupancy grid: .npz, or .yaml with its .pgm for ROS.")
-@click.option("--force", is_flag=True, help="Replace existing outputs.")
-@click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON.")
+@FORCE
+@AS_JSON
 def query(
     source: Path,
     text: str,

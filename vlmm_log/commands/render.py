@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from vlmm_log.commands.examples import examples
-from vlmm_log.commands.options import FILE
-from vlmm_log.commands.telling import tell
+from vlmm_log.commands.options import AS_JSON, FILE, FORCE
+from vlmm_log.commands.telling import show, tell
 from vlmm_log.progress import progress
 
 if TYPE_CHECKING:
@@ -31,8 +30,8 @@ if TYPE_CHECKING:
 @click.option("--fps", type=float, help="Of the video; as the frames were taken if not given.")
 @click.option("--start", type=float, help="Seconds from the recording's first pair.")
 @click.option("--stop", type=float, help="Seconds from the recording's first pair.")
-@click.option("--force", is_flag=True, help="Replace an existing output once the new one is complete.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
+@FORCE
+@AS_JSON
 def render(
     recording: Path,
     frame: int | None,
@@ -69,10 +68,7 @@ def render(
             force=force,
             progress=told,
         )
-    if as_json:
-        click.echo(json.dumps(done.report(), indent=2))
-    else:
-        print_rendered(done)
+    show(done, print_rendered, as_json=as_json)
 
 
 def print_rendered(done: Rendered) -> None:

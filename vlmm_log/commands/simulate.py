@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from vlmm_log.commands.examples import examples
-from vlmm_log.commands.options import FILE
-from vlmm_log.commands.telling import tell
+from vlmm_log.commands.options import AS_JSON, FILE, FORCE
+from vlmm_log.commands.telling import show, tell
 from vlmm_log.progress import progress
 
 if TYPE_CHECKING:
@@ -40,8 +39,8 @@ if TYPE_CHECKING:
 )
 @click.option("--pose-noise", default="0,0", show_default=True, metavar="DEG,CM", help="Sigmas of groundtruth.txt.")
 @click.option("--gap", type=int, default=3, show_default=True, help="Frames that flow and motion span.")
-@click.option("--force", is_flag=True, help="Replace an existing folder once the new one is complete.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was rendered as JSON.")
+@FORCE
+@AS_JSON
 def simulate(
     scene: str,
     out: Path,
@@ -80,10 +79,7 @@ def simulate(
             force=force,
             progress=told,
         )
-    if as_json:
-        click.echo(json.dumps(done.report(), indent=2))
-    else:
-        print_simulated(done)
+    show(done, print_simulated, as_json=as_json)
 
 
 def print_simulated(done: Simulated) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+import json
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
@@ -23,6 +24,24 @@ def tell(*lines: str) -> None:
     """Lines, each whole: a terminal wraps them, a file does not."""
     for line in lines:
         click.echo(printable(line))
+
+
+class Reported(Protocol):
+    """What came of a command."""
+
+    def report(self) -> dict[str, Any]:
+        """For JSON."""
+
+
+R = TypeVar("R", bound=Reported)
+
+
+def show(done: R, print_plainly: Callable[[R], None], *, as_json: bool) -> None:
+    """As JSON on request, else in the command's own words."""
+    if as_json:
+        click.echo(json.dumps(done.report(), indent=2))
+    else:
+        print_plainly(done)
 
 
 def console() -> Console:

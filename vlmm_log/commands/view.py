@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from vlmm_log.commands.examples import examples
-from vlmm_log.commands.options import FILE
+from vlmm_log.commands.options import AS_JSON, FILE
 
 if TYPE_CHECKING:
     from vlmm_log.viewing import Viewed
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @click.argument("files", nargs=-1, required=True, metavar="FILE [FILE]", type=FILE)
 @click.option("--web", is_flag=True, help="Serve it for a browser on this machine (127.0.0.1) instead.")
 @click.option("--port", type=click.IntRange(1, 65534), default=9090, show_default=True, help="Of the page, with --web.")
-@click.option("--json", "as_json", is_flag=True, help="Print what is shown, and where, as JSON.")
+@AS_JSON
 def view(files: tuple[Path, ...], web: bool, port: int, as_json: bool) -> None:
     """Show a recording (.rrd, .mcap) in the Rerun viewer, or two side by side under one timeline."""
     from vlmm_log.viewing import view as run

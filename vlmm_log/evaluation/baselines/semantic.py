@@ -96,8 +96,7 @@ class VlMapsStyle:
 
     def answers(self, elements: Elements) -> tuple[Scores, ...]:
         """One candidate a phrase."""
-        by_query = [similarities(self._embed, elements.features, PHRASES[q]) for q in QUERIES]
-        return tuple(Scores(*each) for each in zip(*by_query, strict=True))
+        return _of_phrases(self._embed, elements.features)
 
 
 class ConceptGraphsStyle:
@@ -122,8 +121,7 @@ class ConceptGraphsStyle:
         """One candidate a phrase, as for the others."""
         sums = np.array([self._sums[i] for i in elements.ids.tolist()]).reshape(elements.features.shape)
         means = (sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-12)).astype(np.float32)
-        by_query = [similarities(self._embed, means, PHRASES[q]) for q in QUERIES]
-        return tuple(Scores(*each) for each in zip(*by_query, strict=True))
+        return _of_phrases(self._embed, means)
 
 
 class DualMapStyle:
@@ -173,3 +171,8 @@ class VoxelandStyle:
     def _expected(self, evidence: Mapping[str, float]) -> float:
         known = sum(weight * self._prior(name).rho for name, weight in evidence.items())
         return (known + 0.5) / (sum(evidence.values()) + 1.0)
+
+
+def _of_phrases(embed: Embedder, features: Float32) -> tuple[Scores, ...]:
+    by_query = [similarities(embed, features, PHRASES[q]) for q in QUERIES]
+    return tuple(Scores(*each) for each in zip(*by_query, strict=True))
