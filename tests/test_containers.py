@@ -279,7 +279,7 @@ def test_a_window_of_an_indexed_file_leaves_the_rest_unread(tmp_path):
     inside = [p.at <= data.index(b"message 100 ") < p.stop for p in found.chunks.places]
     for place, kept in zip(found.chunks.places, inside, strict=True):
         if not kept:
-            data[place.at : place.stop] = bytes(place.stop - place.start)
+            data[place.at : place.stop] = bytes(place.stop - place.at)
     found.close()
     path.write_bytes(data)  # whoever reads more than the one chunk and the index finds nothing there
     messages, losses = opened(path, window=(ORIGIN_NS + 100, ORIGIN_NS + 101))
