@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 GROUND = {"types", "background", "elements", "query_tree", "queries", "entries", "depth_pixels", "se3", "settings"}
 GROUND |= {"protocols", "calibration", "cache", "compiled", "rvl", "image_files", "scratch", "open3d_loading"}
 ROOF = {"api", "ask", "assessment", "compare", "compare_batches", "conversion", "diagnosis", "fleet", "rendering"}
-ROOF |= {"survey", "viewing", "processed", "picturing", "datasets"}
+ROOF |= {"survey", "viewing", "processed", "picturing", "datasets", "run_outputs"}
 ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/types.py": set(),
     "vlmm_log/version.py": set(),

@@ -7,21 +7,20 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from functools import partial
 from importlib import metadata
-from importlib.util import find_spec
 from pathlib import Path
 
 from vlmm_log.ask import Questions, parse
-from vlmm_log.maps import MAP_SUFFIXES, SavedMap, save_map
+from vlmm_log.maps import SavedMap, save_map
 from vlmm_log.models.load import load_models
-from vlmm_log.outputs import check_free, claim
 from vlmm_log.pipeline.run import Tally, expected_pairs, keyframe_pairs
 from vlmm_log.processed import Processed
 from vlmm_log.protocols import Log, Progress, Sink
 from vlmm_log.readers import opened
-from vlmm_log.resuming.journal import Journal, journal_of, placed
+from vlmm_log.resuming.journal import Journal
+from vlmm_log.run_outputs import RunOutputs
 from vlmm_log.settings import Settings
 from vlmm_log.sinks.many import Many
-from vlmm_log.sinks.recorder import Recorder, Recording, open_recording
+from vlmm_log.sinks.recorder import Recorder, Recording
 from vlmm_log.sinks.summary import Summary
 from vlmm_log.types import InputError, Run
 from vlmm_log.version import __version__
@@ -29,7 +28,6 @@ from vlmm_log.watching import Watching, window
 from vlmm_log.workers.crew import Crew
 from vlmm_log.workers.worker import alone
 
-MCAP_SCHEMAS = ("ros2", "foxglove")
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "scipy", "rerun-sdk")
 
 
@@ -69,16 +67,10 @@ def process(
         raise InputError(f"{where}: no poses, and ego.model = off needs them; use rigid or row_linear")
     asked, by_parser = parse(queries, s)
     expected = expected_pairs(log.count(*window(s)), s.keyframes)
-    target, mcap_target, map_target = (None if name is None else Path(name) for name in (rrd, mcap, map))
-    _check_schema(mcap_schema)
-    if map_target is not None:
-        _check_map_name(map_target)
-    outputs = [path for path in (target, mcap_target, map_target) if path is not None]
-    journal_file = _journal_of(outputs, sinks) if resume else None
-    ours = frozenset[Path]() if journal_file is None else placed(journal_file)
-    begun = journal_file is not None and journal_file.exists()
-    claim(outputs, force=force, inputs=inputs, unfinished=begun, ours=ours)
-    _check_recording_names(target, mcap_target)
+    rrd_file, mcap_file, map_file = (None if name is None else Path(name) for name in (rrd, mcap, map))
+    outputs = RunOutputs(rrd_file, mcap_file, map_file, mcap_schema)
+    kept = outputs.journal(sinks) if resume else None
+    outputs.claim(inputs, force=force, journal=kept)
     if workers < 1:
         raise InputError(f"workers = {workers}: give 1 or more")
     with ExitStack() as stack:
@@ -88,13 +80,12 @@ def process(
         summary = Summary(noise_scale=s.noise.scale)
         looks = None if crew is None else crew.looks
         journal = None
-        if journal_file is not None:
-            recorded = outputs[:1] != [map_target]
-            journal = stack.enter_context(Journal(journal_file, run, outputs, recorded=recorded))
+        if kept is not None:
+            journal = stack.enter_context(Journal(kept, run, outputs.paths, recorded=outputs.recorded))
             with closing(keyframe_pairs(log.frames(*window(s)), s, Tally())) as stream:
                 journal.check(stream)  # before what an earlier run recorded is replaced
             looks = partial(journal.looks, looks or partial(alone, models, s))
-        recordings = _recordings(target, mcap_target, mcap_schema, run)
+        recordings = outputs.recordings(run)
         recorders = [Recorder(recordings, dense=s.log.dense)] if recordings else []
         told = None if progress is None else partial(_tell, progress, expected)
         questions = Questions(asked, models.embed, s.query, s.map, log.world_up)
@@ -108,9 +99,9 @@ def process(
             raise InputError(f"{where}: no pair of frames could be processed{_why(summary)}")
         saved = SavedMap(watching.world.map, run, end, watching.origin_ns, watching.camera)
         written = [r.written for r in recordings if r.written]
-        if map_target is not None and end.complete:
-            _save_map(map_target, saved, written, force=force or journal is not None)
-            written.append(map_target)
+        if outputs.map is not None and end.complete:
+            _save_map(outputs.map, saved, written, force=force or journal is not None)
+            written.append(outputs.map)
         if journal is not None and end.complete:
             journal.remove()
     resumed = 0 if journal is None else journal.taken
@@ -132,42 +123,6 @@ def _save_map(path: Path, saved: SavedMap, written: Sequence[Path], *, force: bo
         raise
 
 
-def _journal_of(outputs: Sequence[Path], sinks: Sequence[Sink]) -> Path:
-    if not outputs:
-        raise InputError("resume needs an output, beside which to keep what the pairs showed; name one")
-    if sinks:
-        raise InputError("resume: sinks of your own would not see the pairs of an earlier run; leave one of them out")
-    journal = journal_of(outputs[0])
-    check_free(journal, force=True)
-    return journal
-
-
-def _recordings(rrd: Path | None, mcap: Path | None, mcap_schema: str, run: Run) -> list[Recording]:
-    recordings = []
-    if rrd is not None:
-        from vlmm_log.sinks.rerun import RerunFile
-
-        recordings.append(open_recording(rrd, lambda path: RerunFile(path, run)))
-    if mcap is not None:
-        from vlmm_log.sinks.mcap import McapFile, load_dialect
-
-        recordings.append(open_recording(mcap, lambda path: McapFile(path, run, load_dialect(mcap_schema))))
-    return recordings
-
-
-def _check_schema(name: str) -> None:
-    if name not in MCAP_SCHEMAS:
-        raise InputError(f"mcap_schema {name!r}: no such schemas; there are {', '.join(MCAP_SCHEMAS)}")
-    if name == "foxglove" and find_spec("foxglove") is None:
-        raise InputError("mcap_schema 'foxglove' needs foxglove-sdk: pip install 'vlmm-log[foxglove]'; or take ros2")
-
-
-def _check_recording_names(rrd: Path | None, mcap: Path | None) -> None:
-    for path, suffix in ((rrd, ".rrd"), (mcap, ".mcap")):
-        if path is not None and path.suffix != suffix:  # what is called otherwise is read otherwise
-            raise InputError(f"{path}: a recording of this kind is called NAME{suffix}; name it so")
-
-
 def _tell(progress: Progress, expected: int, done: int) -> None:
     progress(done, expected)
 
@@ -176,13 +131,6 @@ def versions() -> dict[str, str]:
     """Of this project, Python and the libraries that decide results."""
     own = {"vlmm-log": __version__, "python": platform.python_version()}
     return own | {name: metadata.version(name) for name in LIBRARIES}
-
-
-def _check_map_name(path: Path) -> None:
-    if path.suffix.lower() not in MAP_SUFFIXES:
-        raise InputError(f"{path}: a map is written as {', '.join(MAP_SUFFIXES)}; name it so")
-    if path.suffix.lower() == ".ply" and find_spec("open3d") is None:
-        raise InputError(f"{path}: a PLY needs Open3D: pip install 'vlmm-log[sim]'; or name a .json or .parquet")
 
 
 def _why(summary: Summary) -> str:
