@@ -69,8 +69,15 @@ router: $(VENV)/.ready-dev  ## routing accuracy of both query parsers
 fuzz: $(VENV)/.ready-dev  ## broken files of every format, for eight minutes
 	$(PY) -m benchmarks.fuzz
 
-picture: demo  ## the README's picture, from the demo, by the headless viewer (needs Vulkan)
+picture: demo  ## the pictures of README and pages, by the headless viewer (needs Vulkan)
 	$(PY) examples/viewer_picture.py demo/kitchen.rrd docs/viewer.png 30
+	$(VENV)/bin/vlmm-log simulate living_room demo/living --frames 60 --noise kinect_quadratic --force
+	$(VENV)/bin/vlmm-log process demo/living --segmenter masks:demo/living/truth/instances --rrd demo/a.rrd --force
+	$(VENV)/bin/vlmm-log process demo/living --segmenter masks:demo/living/truth/instances --rrd demo/b.rrd --force \
+		--set noise.scale=0.6
+	$(VENV)/bin/vlmm-log render demo/a.rrd --frame 30 -o docs/simulated.jpg --panels rgb,d_m,norm,elements --force
+	$(VENV)/bin/vlmm-log diff demo/a.rrd demo/b.rrd --rrd demo/both.rrd --force >/dev/null || [ $$? = 1 ]
+	$(PY) examples/viewer_picture.py demo/both.rrd docs/merged.png 30
 
 pages: $(VENV)/.ready  ## the pages that are made from the code: settings, and the rooms of the house
 	$(PY) docs/make/settings_page.py
