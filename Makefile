@@ -2,6 +2,7 @@
 VENV ?= .venv
 PYTHON ?= python3
 PY := $(VENV)/bin/python
+PIP := PYTHONWARNINGS=ignore:Editable $(PY) -m pip install -q
 
 .PHONY: demo test check bench twins doctor reproduce router fuzz picture house pages docs clean
 
@@ -9,17 +10,17 @@ $(VENV)/.ready: pyproject.toml
 	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo \
 		"needs Python 3.11 or later with venv: apt-get install python3-venv, or make PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install -q --upgrade pip
-	$(PY) -m pip install -q -e .
+	$(PIP) --upgrade pip
+	$(PIP) -e .
 	touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(PY) -m pip install -q -e '.[dev]'
+	$(PIP) -e '.[dev]'
 	touch $@
 
 # Open3D needs libraries of the system: installed where we may, else `simulate` prints the line that installs them.
 $(VENV)/.ready-sim: $(VENV)/.ready
-	$(PY) -m pip install -q -e '.[sim]'
+	$(PIP) -e '.[sim]'
 	@$(PY) -c 'import open3d' 2>/dev/null || [ "$$(id -u)" != 0 ] || { apt-get update -qq && \
 		$$($(PY) -c 'from vlmm_log.open3d_loading import LIBRARIES as line; print(line)') -qq >/dev/null; } || true
 	touch $@
@@ -84,7 +85,7 @@ pages: $(VENV)/.ready  ## the pages that are made from the code: settings, and t
 	$(PY) docs/make/rooms.py
 
 docs: pages  ## the documentation, in site/: open site/index.html
-	$(PY) -m pip install -q -e '.[docs]'
+	$(PIP) -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict
 
 clean:
