@@ -218,9 +218,10 @@ def test_ctrl_c_leaves_a_readable_partial_and_no_process(logs, tmp_path):
     assert any(c.entity_path.endswith("/d_m") for c in RrdReader(str(partial)).stream())
 
 
-def test_no_worker_at_all_is_refused(logs):
-    with pytest.raises(InputError, match="workers = 0"):
-        vlmm_log.process(logs / "posed", workers=0)
+@pytest.mark.parametrize("workers", [0, 10_000])
+def test_none_and_far_too_many_workers_are_refused(logs, workers):
+    with pytest.raises(InputError, match=f"workers = {workers}: give 1 to"):
+        vlmm_log.process(logs / "posed", workers=workers)
 
 
 def test_messages_come_out_of_a_slot_as_they_went_in(tmp_path):

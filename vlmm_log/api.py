@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
@@ -28,6 +29,7 @@ from vlmm_log.watching import Watching, window
 from vlmm_log.workers.crew import Crew
 from vlmm_log.workers.worker import alone
 
+WORKERS_A_CORE = 8  # more would only take its memory
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "scipy", "rerun-sdk")
 
 
@@ -71,8 +73,8 @@ def process(
     outputs = RunOutputs(rrd_file, mcap_file, map_file, mcap_schema)
     kept = outputs.journal(sinks) if resume else None
     outputs.claim(inputs, force=force, journal=kept)
-    if workers < 1:
-        raise InputError(f"workers = {workers}: give 1 or more")
+    if not 1 <= workers <= (most := WORKERS_A_CORE * (os.cpu_count() or 1)):
+        raise InputError(f"workers = {workers}: give 1 to {most}, {WORKERS_A_CORE} for each core of this machine")
     with ExitStack() as stack:
         crew = stack.enter_context(Crew(workers, s)) if workers > 1 else None  # they load while we do
         models, of_models = load_models(s)
