@@ -73,7 +73,8 @@ def process(
     outputs = RunOutputs(rrd_file, mcap_file, map_file, mcap_schema)
     kept = outputs.journal(sinks) if resume else None
     outputs.claim(inputs, force=force, journal=kept)
-    if not 1 <= workers <= (most := WORKERS_A_CORE * (os.cpu_count() or 1)):
+    most = WORKERS_A_CORE * (os.cpu_count() or 1)
+    if not 1 <= workers <= most:
         raise InputError(f"workers = {workers}: give 1 to {most}, {WORKERS_A_CORE} for each core of this machine")
     with ExitStack() as stack:
         crew = stack.enter_context(Crew(workers, s)) if workers > 1 else None  # they load while we do
