@@ -214,7 +214,7 @@ def test_poses_that_begin_late_keep_the_pairs_before_out_of_the_map(room, run, t
 
 
 def test_a_map_as_ply_without_open3d_is_refused_before_the_run(room, tmp_path, monkeypatch):
-    monkeypatch.setattr("vlmm_log.api.find_spec", lambda name: None)
+    monkeypatch.setattr("vlmm_log.run_outputs.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"vlmm-log\[sim\]"):
         vlmm_log.process(room, rrd=tmp_path / "a.rrd", map=tmp_path / "a.ply", settings=settings(room))
     assert not list(tmp_path.iterdir())
