@@ -241,10 +241,14 @@ def frames_hash(path: Path) -> str:
 
 
 def _same_batches(a: Path, b: Path) -> bool:
+    """Raises BrokenPromiseError, which says what differs."""
     one, other = ([(t.folder, t.state, t.row) for t in read_manifest(out)] for out in (a, b))
     files = [sorted(str(p.relative_to(out)) for p in out.rglob("*")) for out in (a, b)]
-    same = one == other and files[0] == files[1]
-    return same and all(vlmm_log.diff(a / f / "run.rrd", b / f / "run.rrd").same for f, _, _ in one)
+    if one != other:
+        raise BrokenPromiseError(f"the manifest says {other} instead of {one}")
+    if files[0] != files[1]:
+        raise BrokenPromiseError(f"files: {sorted(set(files[0]) ^ set(files[1]))} are in one of them")
+    return all(vlmm_log.diff(a / f / "run.rrd", b / f / "run.rrd").same for f, _, _ in one)
 
 
 def _copy(source: Path, target: Path) -> None:
