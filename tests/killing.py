@@ -141,8 +141,7 @@ def after_the_kill(deed: Deed, folder: Path, reference: Path, *, old: bool) -> s
         raise BrokenPromiseError(f"an output that was to be replaced is gone: only {there} are left")
     partials = list(folder.rglob("*.rrd.partial")) + list(folder.rglob("*.mcap.partial"))
     if not partials:
-        whole_batch = deed.name == "batch" and (folder / "out" / "manifest.json").exists()
-        done = len(there) == len(deed.outputs) and not old and (deed.name != "batch" or whole_batch)
+        done = not old and all(_files(folder / name) == _files(reference / name) for name in deed.outputs)
         return "done" if done and not _left(deed, folder) else "begun" if _anything(folder) else "nothing"
     if not deed.name.startswith(("process", "batch")):
         return "begun"
@@ -243,12 +242,16 @@ def frames_hash(path: Path) -> str:
 def _same_batches(a: Path, b: Path) -> bool:
     """Raises BrokenPromiseError, which says what differs."""
     one, other = ([(t.folder, t.state, t.row) for t in read_manifest(out)] for out in (a, b))
-    files = [sorted(str(p.relative_to(out)) for p in out.rglob("*")) for out in (a, b)]
     if one != other:
         raise BrokenPromiseError(f"the manifest says {other} instead of {one}")
-    if files[0] != files[1]:
-        raise BrokenPromiseError(f"files: {sorted(set(files[0]) ^ set(files[1]))} are in one of them")
+    if _files(a) != _files(b):
+        raise BrokenPromiseError(f"files: {sorted(_files(a) ^ _files(b))} are in one of them")
     return all(vlmm_log.diff(a / f / "run.rrd", b / f / "run.rrd").same for f, _, _ in one)
+
+
+def _files(path: Path) -> set[str]:
+    """All there is at an output's place; a batch's folder is there before its manifest and its summary are."""
+    return {str(p.relative_to(path)) for p in (path, *path.rglob("*")) if p.exists()}
 
 
 def _copy(source: Path, target: Path) -> None:
