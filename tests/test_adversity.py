@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -233,8 +234,10 @@ def test_a_viewer_that_goes_away(made, tmp_path, monkeypatch, code, told):
 
 def test_a_viewer_that_is_missing(made, tmp_path, monkeypatch):
     monkeypatch.setattr(viewing, "_viewer", lambda: tmp_path / "rerun")
+    before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(InputError, match="the viewer cannot be started: No such file"):
         viewing.view([made / "a.rrd"])
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_viewer_that_is_closed(made, tmp_path, monkeypatch):

@@ -9,6 +9,9 @@ import pytest
 from command_line import command
 
 from tum_folder import ORIGIN_NS, png, rows, write_tum_folder
+from vlmm_log import cli
+from vlmm_log.settings import Settings
+from vlmm_log.types import InputError
 
 STILL = rows([ORIGIN_NS - 10**8 + k * 10**8 for k in range(9)], ["0 0 0 0 0 0 1"] * 9)
 GOOD = {"size": (96, 72), "frames": 6, "shift_px": 1, "groundtruth": STILL}
@@ -237,3 +240,30 @@ def test_an_encoding_that_lacks_letters_is_no_error(tum_folder, tmp_path, monkey
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("Stuhl_\\u6905 (tum)")
     assert python(run, "info", "\u6905", cwd=tmp_path).stderr == "vlmm-log: \\u6905: no such file or folder\n"
+
+
+def test_what_cannot_be_raised_is_told_where_it_is_ours(monkeypatch, capsys):
+    class HalfMade:
+        def __init__(self, at_end):
+            self.at_end = at_end
+
+        def __del__(self):
+            self.at_end()
+
+    monkeypatch.setattr(sys, "unraisablehook", cli._unraisable)
+    HalfMade(lambda: {}["of a library"])
+    assert capsys.readouterr().err == ""
+    HalfMade(lambda: Settings.load(sets=["no.such=1"]))
+    assert "no.such" in capsys.readouterr().err
+
+
+def test_memory_that_a_library_lacks_is_no_full_disk():
+    def error(cause):
+        e = InputError("a new thread.rrd: cannot be written")
+        e.__cause__ = cause
+        return cli._told(e)
+
+    assert error(None) == error(OSError(28, "No space left on device")) == "a new thread.rrd: cannot be written"
+    assert error(OSError(13, "Permission denied", "a new thread.rrd")) == "a new thread.rrd: cannot be written"
+    missing = OSError("Failed to spawn background thread: Resource temporarily unavailable (os error 11)")
+    assert error(missing).startswith("out of memory (a new thread.rrd: cannot be written): ")

@@ -68,7 +68,7 @@ def main() -> None:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # a damaged image is told by us, once
     os.environ.setdefault("JOBLIB_MULTIPROCESSING", "0")  # not needed, and it warns where /dev/shm is full
     if not debug:
-        sys.unraisablehook = lambda _: None  # of half-made objects of libraries, after the error that is told
+        sys.unraisablehook = _unraisable
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # an encoding that lacks a letter of a name is no error
@@ -98,19 +98,31 @@ def _told(e: Exception) -> str:
     """An error in one line."""
     from vlmm_log.types import InputError
 
-    match e:
-        case InputError():
-            return str(e)
-        case MemoryError():
-            short = True
-        case _:
-            short = any(words in str(e) for words in NO_MEMORY)
-    if short:
+    reason = e.__cause__ if isinstance(e, InputError) else e  # its own words may be names of files
+    if _no_memory(reason):
         why = f" ({' '.join(str(e).split())[:200]})" if str(e) else ""
         return f"out of memory{why}: give fewer --workers, or a window by --start and --stop"
+    if isinstance(e, InputError):
+        return str(e)
     if isinstance(e, OSError):
         return str(e) if e.filename or not e.strerror else f"cannot be written: {e.strerror}"
     return f"internal error: {type(e).__name__}: {' '.join(str(e).split())}; run again with --debug and report it"
+
+
+def _no_memory(e: BaseException | None) -> bool:
+    """Whether memory was missing first of all."""
+    if e is None:
+        return False
+    said = str(getattr(e, "strerror", None) or e)
+    return isinstance(e, MemoryError) or any(w in said for w in NO_MEMORY) or _no_memory(e.__cause__)
+
+
+def _unraisable(told: sys.UnraisableHookArgs) -> None:
+    """Half-made objects of libraries complain when they are collected, after the error that is told; ours is a bug."""
+    frames = [str(frame.f_globals.get("__name__")) for frame, _ in traceback.walk_tb(told.exc_traceback)]
+    rooms = [str(getattr(told.object, "__module__", "")), *frames]
+    if any(room.partition(".")[0] == __package__ for room in rooms):
+        sys.__unraisablehook__(told)
 
 
 def _end(line: str) -> None:

@@ -113,14 +113,14 @@ def _shown(command: Sequence[str]) -> int:
 
     before = signal.signal(signal.SIGTERM, stop)
     try:
-        viewer = subprocess.Popen(command)
-    except OSError as e:
-        raise InputError(f"{command[0]}: the viewer cannot be started: {e.strerror or e}; reinstall rerun-sdk") from e
-    try:
-        return viewer.wait()
+        with subprocess.Popen(command) as viewer:
+            try:
+                return viewer.wait()
+            finally:
+                viewer.terminate()
     except KeyboardInterrupt:
         return 0
+    except OSError as e:
+        raise InputError(f"{command[0]}: the viewer cannot be started: {e.strerror or e}; reinstall rerun-sdk") from e
     finally:
-        viewer.terminate()
-        viewer.wait()
         signal.signal(signal.SIGTERM, before)
