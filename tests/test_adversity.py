@@ -245,6 +245,18 @@ def test_a_viewer_that_is_closed(made, tmp_path, monkeypatch):
     viewing.view([made / "a.rrd"])
 
 
+@pytest.mark.parametrize("stderr", ["2>/dev/full", "2> >(head -n 0)"])
+def test_progress_that_nobody_takes_stops_no_run(made, stderr):
+    often = (
+        "import functools, vlmm_log.progress as p; p._plain_lines = functools.partial(p._plain_lines, every_s=0.0); "
+    )
+    main = f"{often}from vlmm_log.cli import main; main()"
+    done = shell(f"{sys.executable} -c '{main}' process room --rrd heard.rrd --force {stderr}", made)
+    assert done.returncode == 0, done
+    assert open_recording(made / "heard.rrd").end.complete
+    (made / "heard.rrd").unlink()
+
+
 # ---- folders that take another's place
 
 

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -70,6 +70,7 @@ def _plain_lines(what: str, every_s: float = 5.0) -> Callable[[int, int], None]:
             last = now
             rate = done / (now - began)
             left = max(expected - done, 0) / rate
-            click.echo(f"{done} of {expected} {what}, {rate:.1f}/s, {left:.0f} s left", err=True)
+            with suppress(OSError):  # nobody listens, or a full disk: the work goes on
+                click.echo(f"{done} of {expected} {what}, {rate:.1f}/s, {left:.0f} s left", err=True)
 
     return update
