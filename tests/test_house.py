@@ -41,17 +41,18 @@ ROOMS = {  # folder or file -> what of the project it may import
     "vlmm_log/pages": {"pages", "types"},
     "vlmm_log/comparison": GROUND | {"comparison", "drawing", "pages", "recording", "sinks", "version"},
     "vlmm_log/drawing": GROUND | {"drawing", "sinks"},
-    "vlmm_log/batches": {"batches", "types", "outputs"},
+    "vlmm_log/batches": {"batches", "types", "outputs", "locks"},
     "vlmm_log/calibration.py": {"types", "settings"},
     "vlmm_log/cache.py": set(),
-    "vlmm_log/scratch.py": set(),
+    "vlmm_log/locks.py": set(),
+    "vlmm_log/scratch.py": {"locks"},
     "vlmm_log/compiled.py": {"cache"},
     "vlmm_log/rvl.py": {"types", "compiled"},
     "vlmm_log/heap.py": set(),
     "vlmm_log/workers": GROUND | {"workers", "pipeline", "models", "sinks", "heap"},
     "vlmm_log/resuming": GROUND | {"resuming", "workers", "pipeline", "sinks"},
     "vlmm_log/evaluation": GROUND | {"drawing", "evaluation", "pages", "pipeline", "sinks", "version"},
-    "vlmm_log/store": {"store", "types", "protocols"},
+    "vlmm_log/store": {"store", "types", "protocols", "locks"},
     "vlmm_log/commands": ROOF
     | {"commands", "progress", "settings", "heap", "outputs"}
     | {"batches", "comparison", "evaluation", "simulation"},  # what their options say

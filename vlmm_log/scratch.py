@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import tempfile
@@ -10,6 +9,8 @@ import weakref
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+from vlmm_log.locks import locked
 
 PREFIX = "vlmm-log-run-"  # of no other program: what is not locked is removed
 
@@ -23,8 +24,7 @@ def scratch(within: Path | None = None) -> TemporaryDirectory[str]:
         with suppress(FileNotFoundError):  # swept by somebody before it was locked
             lock = os.open(folder.name, os.O_RDONLY)
             weakref.finalize(folder, os.close, lock)
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            if Path(folder.name).exists():
+            if locked(lock) is not False and Path(folder.name).exists():
                 return folder
 
 
@@ -36,7 +36,7 @@ def _sweep(room: Path) -> None:
                 continue
             lock = os.open(left, os.O_RDONLY)
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(left)
+                if locked(lock):
+                    shutil.rmtree(left)
             finally:
                 os.close(lock)

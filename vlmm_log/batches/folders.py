@@ -8,10 +8,11 @@ import re
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from vlmm_log.locks import locked
 from vlmm_log.types import InputError
 
 FIGURES, LOCK = "figures.json", ".lock"
@@ -91,25 +92,13 @@ def claimed(out: Path, sources: Iterable[Path]) -> Iterator[None]:
     except OSError as e:
         raise InputError(f"{out}: cannot be written: {e.strerror or e}; name another folder") from e
     with lock:
-        if not _locked(lock.fileno()):
+        if locked(lock.fileno()) is False:
             raise InputError(f"{out}: another batch writes there; wait for it, or name another folder")
         sweep(out)
         try:
             yield
         finally:
             sweep(out)
-
-
-def _locked(descriptor: int) -> bool:
-    """Whether the lock was free; it ends with the process. Where there are no such locks, it always is."""
-    with suppress(ImportError):
-        import fcntl
-
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-    return True
 
 
 def _beside(folder: Path) -> Path:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 from urllib.parse import urljoin, urlsplit
 
+from vlmm_log.locks import locked
 from vlmm_log.protocols import Progress
 from vlmm_log.types import InputError
 
@@ -110,22 +111,11 @@ def check_url(url: str, first: str = "") -> None:
 def _held(partial: Path) -> Iterator[BinaryIO]:
     """The file, open at its end, for this process alone."""
     with partial.open("ab") as f:
-        if not _locked(f.fileno()):
+        if locked(f.fileno()) is False:
             raise InputError(f"{partial}: another download writes to it; wait for it, or name another folder")
         yield f
         f.flush()
         os.fsync(f.fileno())
-
-
-def _locked(descriptor: int) -> bool:
-    with suppress(ImportError):  # where there are no such locks
-        import fcntl
-
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-    return True
 
 
 @contextmanager
