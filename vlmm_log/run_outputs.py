@@ -11,7 +11,7 @@ from vlmm_log.maps import MAP_SUFFIXES
 from vlmm_log.outputs import check_free, claim
 from vlmm_log.protocols import Sink
 from vlmm_log.resuming.journal import journal_of, placed
-from vlmm_log.sinks.recorder import Recording, open_recording
+from vlmm_log.sinks.recorder import Recording, abandon, open_recording
 from vlmm_log.types import InputError, Run
 
 MCAP_SCHEMAS = ("ros2", "foxglove")
@@ -65,15 +65,20 @@ class RunOutputs:
 
     def recordings(self, run: Run) -> list[Recording]:
         """Opened, as NAME.partial. Raises InputError where one cannot be written."""
-        opened = []
-        if self.rrd is not None:
-            from vlmm_log.sinks.rerun import RerunFile
+        opened: list[Recording] = []
+        try:
+            if self.rrd is not None:
+                from vlmm_log.sinks.rerun import RerunFile
 
-            opened.append(open_recording(self.rrd, lambda path: RerunFile(path, run)))
-        if self.mcap is not None:
-            from vlmm_log.sinks.mcap import McapFile, load_dialect
+                opened.append(open_recording(self.rrd, lambda path: RerunFile(path, run)))
+            if self.mcap is not None:
+                from vlmm_log.sinks.mcap import McapFile, load_dialect
 
-            opened.append(open_recording(self.mcap, lambda path: McapFile(path, run, load_dialect(self.mcap_schema))))
+                dialect = load_dialect(self.mcap_schema)
+                opened.append(open_recording(self.mcap, lambda path: McapFile(path, run, dialect)))
+        except InputError:
+            abandon(opened)
+            raise
         return opened
 
 

@@ -60,7 +60,8 @@ class MapEntries:
         self._in_view: set[int] = set()  # elements of the last pair
         self._asked: set[str] = set()  # paths of queries
         self._priors: set[str] = set()  # what was told of labels
-        self._points = 0
+        self._points = 0  # that are shown
+        self._held = 0  # in all levels when it was last counted: levels overlap
 
     def of_tracked(self, result: Tracked) -> Iterator[Named]:
         """Masks, boxes and observations of a frame."""
@@ -86,8 +87,11 @@ class MapEntries:
                 yield from self._history(result.elements[i])
                 yield from self._prior(result.elements[i])
         yield from _features(result, index)
-        if sum(len(cloud.cells) for cloud in result.clouds) > GROWTH * self._points + MORE:
-            yield self._cloud(result)
+        held = sum(len(cloud.cells) for cloud in result.clouds)
+        if held > GROWTH * max(self._points, self._held) + MORE:  # to merge them costs: not at each pair
+            self._held = held
+            if len(result.background.cells) > GROWTH * self._points + MORE:
+                yield self._cloud(result)
 
     def of_answer(self, result: Answer) -> Iterator[Named]:
         """An answer's elements in the map, and their pixels in the frame."""

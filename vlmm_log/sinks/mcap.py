@@ -79,9 +79,9 @@ class McapFile:
     def finish(self, end: RunEnd) -> None:
         """See recorder.Container."""
         told = {"complete": end.complete, "input_hash": end.input_hash, "frames": end.frames, "pairs": end.pairs}
-        self._writer.add_metadata(END, {name: json.dumps(value) for name, value in told.items()})
-        self._writer.finish()
-        self._file.close()
+        with self._file:  # let go of, come what may
+            self._writer.add_metadata(END, {name: json.dumps(value) for name, value in told.items()})
+            self._writer.finish()
 
     def _write(self, entry: Entry) -> None:
         stamp_ns = self._start_ns if entry.stamp_ns is None else entry.stamp_ns

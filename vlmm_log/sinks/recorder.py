@@ -56,6 +56,13 @@ def open_recording(path: Path, container: Callable[[Path], Container]) -> Record
         raise InputError(f"{path}: cannot be written: {e.strerror or e}") from e
 
 
+def abandon(recordings: Iterable[Recording]) -> None:
+    """Let go of recordings of which nothing was written, and leave no file."""
+    for recording in recordings:
+        with suppress(InputError):
+            _finish(recording, (), RunEnd(complete=False, input_hash="", frames=0, pairs=0))
+
+
 class Recorder:
     """Writes recordings beside their paths and renames them once they are complete.
 
@@ -88,8 +95,8 @@ class Recorder:
         for recording in self.recordings:
             try:
                 _finish(recording, rest, end)
-            except OSError as e:
-                errors.append(_unwritable(recording, e))
+            except InputError as e:
+                errors.append(e)
         if errors:
             for other in errors[1:]:
                 errors[0].add_note(f"then: {other}")
@@ -116,13 +123,18 @@ def _finish(recording: Recording, rest: Iterable[Entry], end: RunEnd) -> None:
         for entry in rest:
             recording.container.put(entry)
         recording.container.finish(end)
+    except OSError as e:
+        raise _unwritable(recording, e) from e
     finally:  # also of a full disk: what it took can be read
         if end.pairs:
             recording.written = recording.partial
         else:
             recording.partial.unlink(missing_ok=True)
     if end.pairs and end.complete:
-        recording.partial.replace(recording.path)
+        try:
+            recording.partial.replace(recording.path)
+        except OSError as e:
+            raise _unwritable(recording, e) from e
         recording.written = recording.path
 
 

@@ -44,7 +44,11 @@ class RerunFile:
         self._pairs, self._due = 0, 2
         calibrated = CALIBRATED if "calibration" in run.versions else ()
         self._file = RrdFile(self._rec, path, default_blueprint((*calibrated, *images)))
-        self._begin(run)
+        try:
+            self._begin(run)
+        except BaseException:
+            self._file.close()
+            raise
 
     def put(self, entry: Entry) -> None:
         """See recorder.Container."""
@@ -60,13 +64,14 @@ class RerunFile:
 
     def finish(self, end: RunEnd) -> None:
         """See recorder.Container."""
-        self._values.flush()
-        self._file.flush()  # that it is complete stands behind all that makes it so
-        self._rec.send_property(
-            "vlmm_end",
-            rr.AnyValues(complete=end.complete, input_hash=end.input_hash, frames=end.frames, pairs=end.pairs),
-        )
-        self._file.finish()
+        with self._file as file:  # let go of, come what may
+            self._values.flush()
+            file.flush()  # that it is complete stands behind all that makes it so
+            self._rec.send_property(
+                "vlmm_end",
+                rr.AnyValues(complete=end.complete, input_hash=end.input_hash, frames=end.frames, pairs=end.pairs),
+            )
+            file.finish()
 
     def _begin(self, run: Run) -> None:
         rec = self._rec

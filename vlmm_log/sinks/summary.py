@@ -89,11 +89,13 @@ class Summary:
             "static_d_m2_median": self.static_d_m2,
             "residual_median_m": self.residual_m,
             "instances": self.instances,
-            "ego_inlier_share": [x for x in self.inlier_share if x == x],
+            "ego_inlier_share": self.inlier_share,
             **{f"{stage}_ms": values for stage, values in self.stage_ms.items()},
         }
         counts = {"pairs": self.pairs, "unreliable_pairs": self.unreliable_pairs}
-        figures: dict[str, float | int] = {**counts, **{k: median(v) for k, v in medians.items() if v}}
-        if self.static_d_m2:
-            figures["calibrating_noise_scale"] = self.noise_scale * (median(self.static_d_m2) / CHI2_3_MEDIAN) ** 0.5
+        known = {name: [x for x in values if x == x] for name, values in medians.items()}
+        figures: dict[str, float | int] = {**counts, **{k: median(v) for k, v in known.items() if v}}
+        if known["static_d_m2_median"]:
+            static_d_m2 = figures["static_d_m2_median"]
+            figures["calibrating_noise_scale"] = self.noise_scale * (static_d_m2 / CHI2_3_MEDIAN) ** 0.5
         return figures

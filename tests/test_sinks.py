@@ -1,0 +1,105 @@
+"""What recordings and the closing table take: no more than is new, and nothing of what could not be written."""
+
+import json
+import threading
+
+import numpy as np
+import pytest
+from small_room import write_small_room
+from test_rrd_file import largest_file
+
+import vlmm_log
+import vlmm_log.sinks.mcap
+from vlmm_log.background import empty_background, grown, summed
+from vlmm_log.elements import WorldMap
+from vlmm_log.outputs import replacing
+from vlmm_log.protocols import Moment
+from vlmm_log.sinks.map_entries import MapEntries
+from vlmm_log.sinks.summary import Summary
+from vlmm_log.types import InputError, Motion
+
+VOXEL_M = 0.05
+
+
+def corridor(k, width=40, height=60, step=4):
+    """The wall that is seen at a step along it."""
+    x, y = np.meshgrid(np.arange(k * step, k * step + width), np.arange(height), indexing="ij")
+    cells = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1).astype(np.int64)
+    return summed(cells, np.ones((len(cells), 4), np.int64), VOXEL_M)
+
+
+def test_a_background_that_grows_no_more_is_logged_no_more():
+    clouds, entries, logged = (empty_background(VOXEL_M),), MapEntries(), []
+    for k in (*range(150), *range(150)):
+        clouds = grown(clouds, corridor(k))
+        world = WorldMap({}, {}, clouds)
+        logged += [len(v.points) for name, v in entries.of_world(world, k) if name == "world/map/points"]
+    whole = len(world.background.cells)
+    assert sorted(set(logged)) == logged  # each larger than the one before
+    assert whole > logged[-1] > whole / 1.6
+    assert sum(logged) < 6 * whole
+    assert [len(v.points) for _, v in entries.rest()] == [whole]
+
+
+def motion(pixels, d_m):
+    valid = np.ones((48, 64), np.uint8)
+    d, residual = np.full((48, 64), np.nan, np.float32), np.full((3, 48, 64), np.nan, np.float32)
+    for y, x in pixels:
+        valid[y, x], d[y, x], residual[:, y, x] = 0, d_m, d_m * 0.01
+    return Motion(residual, d, d.copy(), valid, 2.8, lambda _: None)
+
+
+EVERY = [(y, x) for y in range(48) for x in range(64)]
+FEW = [(1, 1), (2, 3)]  # between those that medians are taken of
+
+
+def test_a_pair_of_few_pixels_takes_no_median_away():
+    summary = Summary()
+    for d_m, pixels in ((9, EVERY), (1, FEW), (1, EVERY), (2, EVERY), (3, EVERY)):
+        summary.write(motion(pixels, d_m), Moment(0, 0, 1.0))
+    figures = summary.figures()
+    assert figures["residual_median_m"] == pytest.approx(0.025 * 3**0.5)
+    assert figures["static_d_m2_median"] == pytest.approx(6.5)
+    json.dumps(figures, allow_nan=False)
+
+
+def test_a_table_of_few_pixels_alone_leaves_out_what_it_does_not_know():
+    summary = Summary()
+    summary.write(motion(FEW, 2.0), Moment(0, 0, 1.0))
+    assert "calibrating_noise_scale" not in summary.figures()
+    json.dumps(summary.figures(), allow_nan=False)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rooms") / "room"
+    write_small_room(folder)
+    return folder
+
+
+def test_a_run_on_a_full_disk_leaves_no_thread(room, tmp_path):
+    before = threading.active_count()
+    with largest_file(100_000):
+        for _ in range(3):
+            with pytest.raises(InputError, match="cannot be written") as told:
+                vlmm_log.process(room, rrd=tmp_path / "a.rrd", mcap=tmp_path / "a.mcap", force=True)
+            assert isinstance(told.value.__cause__, OSError)
+    assert threading.active_count() == before
+
+
+def test_where_the_second_recording_cannot_begin_nothing_is_left_of_the_first(room, tmp_path, monkeypatch):
+    def refused(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(vlmm_log.sinks.mcap, "open_mcap", refused)
+    with pytest.raises(InputError, match=r"a\.mcap: cannot be written: No space"):
+        vlmm_log.process(room, rrd=tmp_path / "a.rrd", mcap=tmp_path / "a.mcap")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_outputs_may_lie_in_folders_that_are_not_there_yet(tmp_path):
+    paths = [tmp_path / "a" / "figures.json", tmp_path / "b" / "page.html"]
+    with replacing(*paths, force=False) as partials:
+        for partial in partials:
+            partial.write_text("whole")
+    assert [path.read_text() for path in paths] == ["whole", "whole"]
