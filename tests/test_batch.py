@@ -22,8 +22,10 @@ from vlmm_log.batches.cluster import run_ray
 from vlmm_log.batches.content import content_digest, fingerprint
 from vlmm_log.batches.folders import figures, folder_name, staged, write_figures
 from vlmm_log.batches.local import run_local
-from vlmm_log.batches.tasks import State, Task
+from vlmm_log.batches.manifest import write_manifest
+from vlmm_log.batches.tasks import Outcome, State, Task
 from vlmm_log.compare_batches import diff_batches
+from vlmm_log.fleet import _named_files
 from vlmm_log.types import InputError
 
 SCHEMA = json.loads((Path(__file__).parents[1] / "docs/manifest.schema.json").read_text())
@@ -355,6 +357,44 @@ def test_two_batches_are_compared_log_by_log(finished, tmp_path):
     code, _, err = run("diff", done.out, empty, cwd=tmp_path)
     assert (code, len(err.splitlines())) == (2, 1)
     assert "share no log" in err
+
+
+def test_what_waits_or_is_absent_is_not_said_to_have_failed(finished, tmp_path):
+    _, done = finished
+    good = done.outcomes[0]
+    before = {
+        "a": [Outcome("/x/broken", State.FAILED, "no such file"), Outcome("/x/late", State.PENDING)],
+        "b": [Outcome("/x/broken", State.FAILED, "no such file"), Outcome("/x/absent", State.PENDING)],
+    }
+    for name, others in before.items():
+        shutil.copytree(done.out / good.folder, tmp_path / name / good.folder)
+        write_manifest(tmp_path / name, [good, *others])
+    compared = diff_batches(tmp_path / "a", tmp_path / "b")
+    verdicts = ["same", "failed in both", "done in neither", "done in neither"]
+    assert [log.verdict for log in compared.logs] == verdicts
+    assert not compared.same
+
+
+def test_a_file_that_is_called_like_a_setting_s_value_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("default", "table", "words", "none"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "camera.txt").write_text("fx 60")
+    s = vlmm_log.Settings.load(sets=["read.intrinsics=camera.txt", "objects.segmenter=masks:none"])
+    assert [(name, path.name) for name, path in _named_files(s)] == [
+        ("read.intrinsics", "camera.txt"),
+        ("objects.segmenter", "none"),
+    ]
+
+
+def test_a_process_that_cannot_be_started_fails_its_log_alone(tmp_path, monkeypatch):
+    def refused(*_, **__):
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("vlmm_log.batches.local.subprocess.Popen", refused)
+    done = vlmm_log.batch([log(tmp_path / "log")], tmp_path / "out", workers=1)
+    assert states(done) == ["failed"]
+    assert "no process can be started: Resource temporarily unavailable" in done.outcomes[0].error
 
 
 @needs_ray

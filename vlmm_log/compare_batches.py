@@ -25,7 +25,7 @@ class LogDifference:
     """What differs in one log."""
 
     name: str
-    verdict: str  # same, different, only in A, only in B, failed in both, cannot be compared
+    verdict: str  # same, different, only in A, only in B, failed in both, done in neither, cannot be compared
     told: str = ""  # one line
     files: tuple[str, str] | None = None  # that were compared: `diff` of them tells more
 
@@ -100,7 +100,9 @@ def _log(
 ) -> LogDifference:
     done = [o is not None and o.state == State.DONE for o in pair]
     if not all(done):
-        verdict = "only in A" if done[0] else "only in B" if done[1] else "failed in both"
+        failed = all(o is not None and o.state == State.FAILED for o in pair)
+        neither = "failed in both" if failed else "done in neither"
+        verdict = "only in A" if done[0] else "only in B" if done[1] else neither
         return LogDifference(name, verdict, "; ".join(_undone(pair)))
     a, b = (folder / o.folder for folder, o in zip(folders, pair, strict=True) if o is not None)
     shared = next((file for file in FILES if (a / file).is_file() and (b / file).is_file()), None)

@@ -18,7 +18,7 @@ from vlmm_log.batches.manifest import report, write_manifest
 from vlmm_log.batches.summary import write_summary
 from vlmm_log.batches.tasks import RECORDINGS, Outcome, Running, State, Task, Work, failed
 from vlmm_log.elements import MotionClass
-from vlmm_log.knobs import leaves, written
+from vlmm_log.knobs import written
 from vlmm_log.models.weights import find_clip, find_raft
 from vlmm_log.processed import Processed
 from vlmm_log.protocols import Progress
@@ -155,11 +155,10 @@ def _named_files(s: Settings) -> Iterator[tuple[str, Path]]:
     embedder, _, weights = s.objects.embedder.partition(":")
     if embedder in ("clip", "maskclip"):
         yield "objects.embedder", find_clip(weights)
-    for name, value in leaves(s):
-        if isinstance(value, str) and not name.startswith(("flow.weights", "objects.embedder")):
-            path = Path(value.partition(":")[2] or value)
-            if value and "://" not in value and path.exists():
-                yield name, path
+    segmenter = s.objects.segmenter.partition(":")[2]
+    named = {"read.intrinsics": s.read.intrinsics, "objects.segmenter": segmenter}
+    named |= {"objects.yolo_names": s.objects.yolo_names, "calibration.file": s.calibration.file}
+    yield from ((name, Path(value)) for name, value in named.items() if value and Path(value).exists())
 
 
 def _model_versions(s: Settings) -> Iterator[tuple[str, str]]:

@@ -23,7 +23,8 @@ def replacing(*paths: Path, force: bool) -> Iterator[list[Path]]:
         for path in (*paths, *partials):
             check_free(path, force)
         try:
-            paths[0].parent.mkdir(parents=True, exist_ok=True)
+            for path in paths:
+                path.parent.mkdir(parents=True, exist_ok=True)
             yield partials
             for partial in partials:
                 with partial.open("rb+") as f:
@@ -35,7 +36,7 @@ def replacing(*paths: Path, force: bool) -> Iterator[list[Path]]:
                 partial.unlink(missing_ok=True)
             raise
     except OSError as e:
-        raise InputError(f"{paths[0]}: cannot be written: {e.strerror or e}; nothing was replaced") from e
+        raise InputError(f"{e.filename or paths[0]}: cannot be written: {e.strerror or e}; nothing was replaced") from e
 
 
 def claim(

@@ -75,7 +75,10 @@ class Worker:
 
     def do(self, task: Task) -> Outcome | str:
         """What came of a task, or how the process died."""
-        process = self._running()
+        try:
+            process = self._running()
+        except OSError as e:
+            return f"no process can be started: {e.strerror or e}; give fewer --workers"
         if process is None:
             return "interrupted"
         assert process.stdin

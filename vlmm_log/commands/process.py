@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -83,7 +84,8 @@ def process(
     from vlmm_log.heap import keep_pages
 
     if rrd is None and mcap is None:
-        rrd = Path(f"{source.absolute().name}.rrd")  # the closing table names it
+        named = os.path.abspath(source)  # noqa: PTH100  a link keeps its name
+        rrd = Path(f"{Path(named).name}.rrd")  # the closing table names it
     keep_pages()
     with progress("pairs", compiles=True) as told:
         done = run(

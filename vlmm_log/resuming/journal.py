@@ -84,9 +84,14 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._open and not self._count():
-            self.remove()
-        self._rows.close()
+        try:
+            if self._open and not self._count():
+                self.remove()
+        except (sqlite3.Error, OSError, InputError):
+            if error is None:  # else that one is told
+                raise
+        finally:
+            self._rows.close()
 
     def looks(
         self, others: Looks, stream: Iterator[FramePair | Skipped], make: Make

@@ -6,6 +6,7 @@ import mmap
 import os
 import pickle
 import shutil
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -56,7 +57,8 @@ class Slot:
     def close(self) -> None:
         """Let go of the memory."""
         if self._map is not None:
-            self._map.close()
+            with suppress(BufferError):  # an interrupt left a view of it: it goes with that
+                self._map.close()
         self._file.close()
 
     def _mapped(self, size: int) -> mmap.mmap:
