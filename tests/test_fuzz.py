@@ -261,6 +261,23 @@ def test_a_damaged_message_of_a_recording_is_told_where_it_lies(tmp_path):
     assert unnoticed < 0.05 * len(messages)
 
 
+@pytest.mark.parametrize("kind", [0, 2, 9])
+@pytest.mark.parametrize("length", [0, 1, 2**40, 2**64 - 1])
+def test_a_length_or_kind_that_hides_messages_is_told(tmp_path, kind, length):
+    """Rerun reads them all the same, from where its footer says; one of them damaged ended the process."""
+    form = next(form for form in FORMATS if form.name == "recording, rrd")
+    broken = bytearray(whole(form)["a.rrd"])
+    path = tmp_path / "a.rrd"
+    path.write_bytes(broken)
+    with path.open("rb") as f:
+        (at, _), *_, (last, size) = [(at, length) for kind, at, length in places(f, len(broken)) if kind == 2]
+    broken[at - 16 : at] = struct.pack("<QQ", kind, length)
+    broken[last + size // 2 : last + size // 2 + 40] = bytes(40)
+    path.write_bytes(broken)
+    with pytest.raises(InputError, match=r"its message at byte \d+ is damaged; process the log again"):
+        open_recording(path)
+
+
 def test_what_a_recording_says_of_its_run_is_checked(tmp_path):
     run = {"source": "a", "reader": "tum", "settings": Settings().to_toml(), "world_up": "+z", "versions": "{}"}
     run |= {"notes": "[]", "has_poses": True}

@@ -1,6 +1,8 @@
 """Whether the messages of a Rerun recording can be decoded: Rerun's own decoder ends the process where one is damaged.
 
 A message of kind 2 is Protobuf, an ``ArrowMsg``: 2 compression (1 none, 2 LZ4), 3 size, 5 an Arrow IPC stream.
+A whole file ends in a message of kind 0, the footer, and in the 32 bytes that say where that lies. Rerun reads from
+where the footer says and never counts the lengths together, so they are checked too: what one of them hides is read.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ import lz4.block  # type: ignore[import-untyped]
 import pyarrow as pa
 
 STREAM_HEADER, MESSAGE_HEADER = 12, struct.Struct("<QQ")  # kind and length of what follows
-ARROW, LZ4 = 2, 2
+TRAILER = 32  # bytes after the footer
+END, ARROW, BLUEPRINT = 0, 2, 3  # kinds; 1 tells whose recording it is
+LZ4 = 2
 EXPANSION = 255  # times its length that LZ4 becomes at most
 
 
@@ -31,13 +35,19 @@ def places(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
 
 
 def first_damage(file: BinaryIO, size: int) -> int | None:
-    """The byte of the first message that is no sound Arrow table; None where all are."""
+    """The byte of the first message that is no sound Arrow table or has no place; None where all are whole."""
+    end = STREAM_HEADER
     for kind, at, length in places(file, size):
+        end = at + length
+        if kind > BLUEPRINT or (kind == END and size - end not in (0, TRAILER)):
+            return at
+        if kind == END:
+            return None
         if kind == ARROW:
             file.seek(at)
             if not _is_sound(file.read(length)):
                 return at
-    return None
+    return None if end == size else end + MESSAGE_HEADER.size
 
 
 def _is_sound(message: bytes) -> bool:
