@@ -4,6 +4,7 @@
 """
 
 import bz2
+import io
 import json
 import shutil
 import sqlite3
@@ -18,6 +19,7 @@ from types import SimpleNamespace
 import cv2
 import lz4.frame
 import numpy as np
+import pyarrow as pa
 import pytest
 import zstandard
 from hypothesis import HealthCheck, given, settings
@@ -139,6 +141,17 @@ def test_images_of_every_kind_are_read_as_before(kind, size):
     pixels = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
     file = cv2.imencode(f".{kind}", pixels)[1]
     assert np.array_equal(decoded(file.tobytes(), cv2.IMREAD_COLOR), cv2.imdecode(file, cv2.IMREAD_COLOR))
+
+
+def test_how_a_camera_was_held_turns_no_colour_away_from_its_depth():
+    pixels = np.zeros((48, 64, 3), np.uint8)
+    pixels[:24] = 200
+    jpeg = cv2.imencode(".jpg", pixels)[1].tobytes()
+    turned = b"MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 0x0112, 3, 1, 6, 0, 0)  # orientation 6: a quarter to the right
+    exif = b"\xff\xe1" + struct.pack(">H", 8 + len(turned)) + b"Exif\0\0" + turned
+    assert cv2.imdecode(np.frombuffer(jpeg[:2] + exif + jpeg[2:], np.uint8), cv2.IMREAD_COLOR).shape == (64, 48, 3)
+    read = decoded(jpeg[:2] + exif + jpeg[2:], cv2.IMREAD_COLOR)
+    assert np.array_equal(read, decoded(jpeg, cv2.IMREAD_COLOR))
 
 
 GIB_OF_ZEROS = {
@@ -275,6 +288,50 @@ def test_a_length_or_kind_that_hides_messages_is_told(tmp_path, kind, length):
     broken[last + size // 2 : last + size // 2 + 40] = bytes(40)
     path.write_bytes(broken)
     with pytest.raises(InputError, match=r"its message at byte \d+ is damaged; process the log again"):
+        open_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sound"),
+    [
+        (pa.field("ab", pa.int32()), True),
+        (pa.field("a\0b", pa.int32()), False),
+        (pa.field("ab", pa.list_(pa.field("c\0", pa.int32()))), False),
+        (pa.field("ab", pa.timestamp("ns", "UT\0C")), False),
+    ],
+)
+def test_names_that_end_in_their_midst_are_damage(tmp_path, kind, sound):
+    """Rerun makes C's strings of them, and ends the process where it cannot."""
+    table = io.BytesIO()
+    with pa.ipc.new_stream(table, pa.schema([kind])) as stream:
+        stream.write_table(pa.schema([kind]).empty_table())
+    data = table.getvalue()
+    assert 128 <= len(data) < 1 << 14
+    message = bytes([5 << 3 | 2, len(data) & 127 | 128, len(data) >> 7]) + data
+    path = tmp_path / "a.rrd"
+    path.write_bytes(b"RRF2" + bytes(8) + struct.pack("<QQ", 2, len(message)) + message)
+    with path.open("rb") as f:
+        assert first_damage(f, path.stat().st_size) == (None if sound else 28)
+
+
+def test_a_message_of_another_entity_than_the_footer_says_is_told(tmp_path):
+    """Found by breaking messages alone: the name within one was changed to another that can be."""
+    (form,) = (form for form in FORMATS if form.name == "recording, rrd")
+    data, name = whole(form)["a.rrd"], b"/__properties/vlmm_end"
+    path = tmp_path / "a.rrd"
+    path.write_bytes(data)
+    changed = bytearray(data)
+    with path.open("rb") as f:
+        inside = [
+            at + data[at : at + length].index(name)
+            for kind, at, length in places(f, len(data))
+            if kind == 2 and name in data[at : at + length]
+        ]
+    assert inside
+    for at in inside:
+        changed[at + 2 : at + 4] = b"PR"
+    path.write_bytes(changed)
+    with pytest.raises(InputError, match="its footer and its message disagree on"):
         open_recording(path)
 
 

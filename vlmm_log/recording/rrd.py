@@ -147,7 +147,13 @@ def _chunks(path: Path, file: Path, whole: bool, wanted: list[str] | None) -> It
         with warnings.catch_warnings(action="ignore"):  # that there is no footer, we tell ourselves
             reader = rerun.chunk.RrdReader(file)
             stream = reader.store().stream() if whole else reader.stream()
-            yield from stream if wanted is None else stream.filter(content=wanted)
+            if wanted is None:
+                yield from stream
+                return
+            for chunk in stream.filter(content=wanted):
+                if chunk.entity_path not in wanted:
+                    raise ValueError(f"its footer and its message disagree on {chunk.entity_path!r}")
+                yield chunk
     except (OSError, ValueError, RuntimeError) as e:
         raise _unreadable(path, e) from e
 
