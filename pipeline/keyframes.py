@@ -52,6 +52,8 @@ def pairs(stream: Iterable[Frame | Skipped], s: KeyframeSettings) -> Iterator[Fr
         if isinstance(item, Skipped):
             yield item
             continue
+        if waiting and item.stamp_ns <= waiting[-1].stamp_ns:  # the clock was set back: no pair spans that
+            yield from _rest(waiting, starts, gap)
         waiting.append(item)
         starts.append(count % s.stride == 0)
         count += 1
@@ -59,6 +61,11 @@ def pairs(stream: Iterable[Frame | Skipped], s: KeyframeSettings) -> Iterator[Fr
             yield from _paired(waiting, starts, partner, gap)
         if len(waiting) > LONGEST_GAP + 1:
             raise InputError(f"keyframes.gap = {s.gap!r} spans more than {LONGEST_GAP} frames of this log; lower it")
+    yield from _rest(waiting, starts, gap)
+
+
+def _rest(waiting: deque[Frame], starts: deque[bool], gap: Gap) -> Iterator[FramePair | Skipped]:
+    """The pairs of what no frame follows."""
     while waiting:
         partner = _partner(waiting, gap, last=True)
         yield from _paired(waiting, starts, partner or 0, gap)

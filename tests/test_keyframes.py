@@ -53,6 +53,14 @@ def test_gap_in_seconds(steps_ms, gap_ms, stride):
     assert told(stream, f"{gap_ms / 1e3}s", stride) == expected
 
 
+@pytest.mark.parametrize("gap", [2, "0.2s"])
+def test_no_pair_spans_a_clock_that_was_set_back(gap):
+    before, after = map(frame, range(4)), [frame(k, (k - 4) * 100 * MS) for k in range(4, 8)]
+    expected = told(map(frame, range(4)), gap) + told(after, gap)
+    assert (0, 2) in expected
+    assert told([*before, *after], gap) == expected
+
+
 def test_what_was_left_out_is_passed_on_in_order():
     stream = [left_out("a"), frame(0), left_out("b"), frame(1), frame(2), left_out("c")]
     assert told(stream, 1) == [

@@ -80,6 +80,22 @@ def test_a_repeated_stamp_and_a_late_image_are_told():
     ]
 
 
+def test_a_straggler_does_not_bring_frames_out_of_order():
+    """What was around it has been given out; the clock itself is set back where several come so late in a row."""
+    both = [shot(kind, k * 100 * MS, k) for k in range(60) for kind in ("rgb", "depth")]
+    stragglers = [shot("rgb", 1050 * MS, 60), shot("depth", 1050 * MS, 60)]
+    for shots in ([*both[:80], *stragglers, *both[80:]], [*both, *stragglers]):
+        pairs, left_out = paired(shots, 20 * MS)
+        assert pairs == [(k * 100 * MS,) * 2 for k in range(60)]
+        assert {(x.stamp_ns, x.reason) for x in left_out} == {(1050 * MS, "image comes more than 2 s late")}
+        assert len(left_out) == 2
+    again = [shot(kind, k * 100 * MS, k) for k in range(60, 70) for kind in ("rgb", "depth")]
+    back = [shot(x.kind, x.stamp_ns - 5900 * MS, x.index) for x in again]
+    pairs, left_out = paired([*both, *back], 20 * MS)
+    assert len(pairs) == 70
+    assert [x.reason for x in left_out] == ["clock of the stamps was set back here"]
+
+
 def test_losses_pass_through_at_their_time():
     shots = [
         shot("rgb", 0),

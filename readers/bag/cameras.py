@@ -48,7 +48,8 @@ def cameras(container: Container, choice: Choice, tree: Callable[[], Tree], s: R
     units = s.depth_units_per_meter or _logged_units(container, choice, notes) or _standard_units(choice)
     depth = _depth_camera(container, choice, known, rgb, tree, s, notes)
     infos = [(choice.info, of_rgb, known)] if known is not None and not s.intrinsics else []
-    infos += [(choice.depth_info, of_depth, depth[0])] if depth is not None else []
+    listed = _info(container, choice.depth_info, of_depth) if depth is not None else None
+    infos += [(choice.depth_info, of_depth, listed)] if isinstance(listed, Intrinsics) else []
     return Cameras(rgb, depth, units, tuple(notes), tuple(infos))
 
 

@@ -48,5 +48,5 @@ def message(of: Channel, log_ns: int, ordinal: int, raw: bytes) -> Message | Ski
         try:
             raw = decompressed_message(raw)
         except ValueError:
-            return Skipped(log_ns, of.topic.name, "message cannot be decompressed")
+            return Skipped(log_ns, f"{of.topic.name} {ordinal}", "message cannot be decompressed")
     return Message(of.topic, log_ns, ordinal, raw, partial(of.decode, raw))

@@ -106,7 +106,7 @@ class SqliteBag:
             of, log_ns = self.channels[int(self.rows.topics[k])], int(self.rows.times[k])
             raw = self._payload(int(self.rows.ids[k]))
             if raw is None:
-                yield Skipped(log_ns, of.topic.name, "row cannot be read")
+                yield Skipped(log_ns, f"{of.topic.name} {self._ordinals[k]}", "row cannot be read")
             else:
                 yield message(of, log_ns, int(self._ordinals[k]), raw)
 

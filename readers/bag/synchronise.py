@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 
+from vlmm_log.readers.stamps import SET_BACK, SORTED_IN
 from vlmm_log.readers.stored import Kind, Shot
 from vlmm_log.types import Skipped
 
@@ -43,7 +44,7 @@ class _Waiting:
             self.tell(Skipped(shot.stamp_ns, shot.what, reason, _index(shot)))
             return
         if shot.stamp_ns < latest:
-            self.tell(Skipped(shot.stamp_ns, shot.what, "stamp out of order; the image was sorted in", _index(shot)))
+            self.tell(Skipped(shot.stamp_ns, shot.what, SORTED_IN, _index(shot)))
         self.recent[shot.kind].append(shot.stamp_ns)
         insort(self.pending[shot.kind], shot, key=_stamp)
 
@@ -118,21 +119,31 @@ def synchronised(shots: Iterable[Shot | Skipped], tolerance_ns: int) -> Generato
         if isinstance(shot, Skipped):
             waiting.tell(shot)
             continue
+        in_time = shot.stamp_ns >= waiting.oldest_ns
+        if in_time:
+            _drop(late, waiting)
         late.append(shot)
-        if shot.stamp_ns < waiting.oldest_ns:
+        if not in_time:
             if len(late) < STRAGGLERS:
                 continue
             yield from _rest(waiting)
             waiting = _Waiting(tolerance_ns)
-            waiting.tell(Skipped(late[0].stamp_ns, late[0].what, "clock of the stamps was set back here"))
+            waiting.tell(Skipped(late[0].stamp_ns, late[0].what, SET_BACK))
         while late:
             waiting.add(late.pop(0))
         frontier = {kind: waiting.frontier(kind) for kind in PARTNER}
         waiting.decide(frontier)
         yield from waiting.ordered(min(frontier.values()) - tolerance_ns)
-    for shot in late:
-        waiting.add(shot)
+    _drop(late, waiting)
     yield from _rest(waiting)
+
+
+def _drop(late: list[Shot], waiting: _Waiting) -> None:
+    """What was around them has been given out already: frames go by time."""
+    for shot in late:
+        reason = f"image comes more than {LATENESS_NS / 1e9:g} s late"
+        waiting.tell(Skipped(shot.stamp_ns, shot.what, reason, _index(shot)))
+    late.clear()
 
 
 def _rest(waiting: _Waiting) -> Iterator[Pair | Skipped]:
