@@ -17,6 +17,7 @@ from vlmm_log.types import Float64
 
 FARTHEST_M = 1e9  # from the world's origin: single precision still squares it
 NORM_TOLERANCE = 0.01  # a quaternion printed with four decimals is within 1e-4 of unit length
+ELSEWHERE = "not of the camera's frames"  # how reasons begin that cost the camera no pose
 TOO_FAR = f"pose holds more than {FARTHEST_M:g} m"
 
 

@@ -1,5 +1,7 @@
 """Bags: which topics are taken, what their messages become, and what is told as left out."""
 
+from collections import Counter
+
 import cv2
 import numpy as np
 import pytest
@@ -228,6 +230,39 @@ def test_odometry_is_carried_to_the_camera(tmp_path):
     frames, _ = read(made(tmp_path, "ros2", images(m), odometry, static), "read.topics=pose=/odom")
     for f in frames:
         np.testing.assert_allclose(f.T_world_cam, matrix(at(f.stamp_ns)) @ matrix(mount), atol=1e-9)
+
+
+@pytest.mark.parametrize("source", ["/odom", "tf"])
+def test_what_is_asked_of_listed_poses_leaves_the_mount_alone(tmp_path, source):
+    """A bag's own transform from the tracked frame to the camera is not inverted, and is replaced by the user's."""
+    m = Messages("ros2")
+    mount, other = [0.1, 0.2, 0.3, -0.5, 0.5, -0.5, 0.5], [0.0, 0.5, 0.0, 0.0, 0.0, 0.6, 0.8]
+
+    def inverted(stamp_ns):
+        T = se3.inverse(matrix(at(stamp_ns)))
+        return [*T[:3, 3], *se3.quaternion(T)]
+
+    for listed, mapping in ((at, "camera_to_world"), (inverted, "world_to_camera")):
+        odometry = [("/odom", t, m.odometry(t, "odom", "base", listed(t))) for t in STAMPS]
+        moved = [("/tf", t, m.tf(t, ("odom", "base", listed(t)))) for t in STAMPS]
+        static = [("/tf_static", STAMPS[0], m.tf(0, ("base", OPTICAL, mount)))]
+        path = made(tmp_path / mapping, "ros2", images(m), odometry if source == "/odom" else moved, static)
+        sets = f"read.poses={mapping}", f"read.topics=pose={source}"
+        for asked, expected in (("", mount), (",".join(map(str, other)), other), ("none", [0.0] * 6 + [1.0])):
+            frames, _ = read(path, *sets, f"read.pose_to_camera={asked}")
+            for f in frames:
+                np.testing.assert_allclose(f.T_world_cam, matrix(at(f.stamp_ns)) @ matrix(expected), atol=1e-9)
+
+
+def test_transforms_of_other_frames_cost_the_camera_no_pose(tmp_path):
+    """An arm that publishes NaN is told, and does not stop doctor from examining poses."""
+    m = Messages("ros2")
+    nowhere = [float("nan")] * 3 + [0.0, 0, 0, 1]
+    moved = [("/tf", t, m.tf(t, ("odom", OPTICAL, at(t)), ("arm", "gripper", nowhere))) for t in STAMPS]
+    bad = [("/tf", STAMPS[3] + 1, m.tf(STAMPS[3] + 1, ("odom", OPTICAL, nowhere)))]
+    log = open_log(made(tmp_path, "ros2", images(m), moved, bad))
+    told = Counter(x.reason for x in log.frames(0, 10**18) if isinstance(x, Skipped))
+    assert told == {"not of the camera's frames: pose is not finite": len(STAMPS), "pose is not finite": 1}
 
 
 def test_ground_truth_poses_come_before_transforms(tmp_path):

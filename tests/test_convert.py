@@ -1,6 +1,7 @@
 """convert: what other containers hold of a log, and that nothing is lost on the way there and back."""
 
 import filecmp
+import struct
 from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from bags import Messages, write
 from tum_folder import CAMERA, ORIGIN_NS, png, rows, text_of, write_tum_folder
 from vlmm_log import se3
 from vlmm_log.conversion import convert
@@ -304,6 +306,29 @@ def test_float_depth_is_not_compressed_with_loss(tmp_path):
     assert "/camera/depth_registered/image_raw" in result.counts
     assert any("would round it" in note for note in result.notes)
     assert frames(tmp_path / "twin.mcap") == frames(log)
+
+
+@pytest.mark.parametrize("images", ["raw", "compressed"])
+def test_compressed_floats_in_another_unit_become_metres(tmp_path, images):
+    """32FC1 means metres to every reader; here the source's are millimetres."""
+    from test_bag import COLOURS, INFO, OPTICAL, RGB, STAMPS
+
+    m, scale = Messages("mcap"), 10100.0
+    header, values = struct.pack("<iff", 0, scale, -1.0), np.full((48, 64), round(scale / 2000 - 1), np.uint16)
+    depth = header + cv2.imencode(".png", values)[1].tobytes()
+    records = []
+    for t, colour in zip(STAMPS, COLOURS, strict=True):
+        records += [(RGB, t, m.image(t, OPTICAL, colour, "rgb8")), (INFO, t, m.camera_info(t, OPTICAL))]
+        form = "32FC1; compressedDepth png"
+        records += [("/camera/depth_registered/image_raw/compressedDepth", t, m.compressed(t, OPTICAL, depth, form))]
+    source = write(tmp_path / "log.mcap", "mcap", records)
+    units = "read.depth_units_per_meter=1000"
+    out = convert(source, tmp_path / "out.mcap", settings=Settings.load(sets=[units]), images=images).out
+    before, after = (
+        [x.depth for x in opened(path, *sets).frames(0, EVER)] for path, *sets in ((source, units), (out,))
+    )
+    assert 1.9 < np.nanmedian(before[0]) < 2.1
+    np.testing.assert_array_equal(before, after)
 
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])

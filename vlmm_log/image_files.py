@@ -14,12 +14,15 @@ _TIFF_SIZES = (256, 257)  # tags: width, height
 
 
 def decoded(data: bytes | memoryview, flags: int) -> cv2.typing.MatLike | None:
-    """The image of PNG, JPEG, WebP, TIFF or PNM; None where it is damaged, too large or of another kind."""
+    """The image of PNG, JPEG, WebP, TIFF or PNM; None where it is damaged, too large or of another kind.
+
+    As it is stored: a camera's note on how it was held turns no colour away from its depth.
+    """
     size = stated_size(data)
     if size is None or not (0 < size[0] <= LARGEST and 0 < size[1] <= LARGEST // size[0]):
         return None
     try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error:
         return None
 

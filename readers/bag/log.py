@@ -234,7 +234,7 @@ class BagLog:
         first, last = self._log_window(limit_ns(self.s.start_s), limit_ns(self.s.stop_s))
         room_ns = limit_ns(abs(self.s.pose_offset_s)) + limit_ns(self.s.pose_gap_s)
         window = max(first - room_ns, self.container.start_ns), min(last + room_ns, self.container.stop_ns)
-        tree = read_tree(self.container, *window, self.left_out)
+        tree = read_tree(self.container, self.choice.rgb.frame, *window, self.left_out)
         if window[0] > self.container.start_ns:
             self._told += tree.complete(self._still)
         poses = None
@@ -262,7 +262,7 @@ class BagLog:
     def _still(self) -> Tree:
         """ROS 1 repeats still transforms on /tf, so its beginning is read too."""
         start_ns = self.container.start_ns
-        return read_tree(self.container, start_ns, start_ns + STILL_NS, [])
+        return read_tree(self.container, self.choice.rgb.frame, start_ns, start_ns + STILL_NS, [])
 
 
 def streams_of(container: Container, roles: Mapping[str, str]) -> tuple[Stream, ...]:

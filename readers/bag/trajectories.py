@@ -12,15 +12,18 @@ from vlmm_log.readers.bag.messages import TRANSFORMS, UNREADABLE, Placed, poses_
 from vlmm_log.readers.bag.ranking import TF
 from vlmm_log.readers.bag.topics import Choice
 from vlmm_log.readers.bag.transforms import Edge, Tree
-from vlmm_log.readers.conventions import PLAIN
-from vlmm_log.readers.poses import Link, Poses, Trajectory, usable_pose
+from vlmm_log.readers.conventions import PLAIN, Convention
+from vlmm_log.readers.poses import ELSEWHERE, Link, Poses, Trajectory, usable_pose
 from vlmm_log.types import InputError, Skipped
 
 WORLDS = ("world", "map", "odom", "earth")  # REP 105, and what trackers call theirs
 
 
-def read_tree(container: Container, start_ns: int, stop_ns: int, left_out: list[Skipped]) -> Tree:
-    """The tree of frames: /tf_static of the whole log, /tf of a window of log time."""
+def read_tree(container: Container, frame: str, start_ns: int, stop_ns: int, left_out: list[Skipped]) -> Tree:
+    """The tree of frames: /tf_static of the whole log, /tf of a window of log time.
+
+    What is refused is told; of frames that carry the camera's ``frame`` as a loss of poses.
+    """
     tree = Tree()
     names = [t.name for t in container.topics if t.type in TRANSFORMS]
     still = [name for name in names if name.rsplit("/", 1)[-1] == "tf_static"]
@@ -29,8 +32,9 @@ def read_tree(container: Container, start_ns: int, stop_ns: int, left_out: list[
     moving = [name for name in names if name not in still]
     for placed in _placed(container, moving, start_ns, stop_ns, left_out):
         tree.add(placed)
-    for reason, count in sorted(tree.refused.items()):
-        left_out += [Skipped(start_ns, "/tf", reason)] * count
+    carrying = tree.ancestors(frame)
+    for (child, reason), count in sorted(tree.refused.items()):
+        left_out += [Skipped(start_ns, "/tf", reason if child in carrying else f"{ELSEWHERE}: {reason}")] * count
     return tree
 
 
@@ -59,7 +63,7 @@ def _of_tree(container: Container, tree: Tree, frame: str, world: str) -> Poses 
         links = tree.chain(root, frame, Edge.trajectory) or ()  # it stood still, for as long as that was said
     path = tree.ancestors(frame)
     named = path[: path.index(root) + 1][::-1] if root in path else [root, "...", frame]
-    return Poses(_merged(links), f"tf, {' -> '.join(named)}", up=_up(root))
+    return _carried(links, f"tf, {' -> '.join(named)}", _up(root))
 
 
 def _of_topic(
@@ -92,7 +96,15 @@ def _of_topic(
         links += rest or ()
     elif not last.child:
         notes.append(f"{topic} does not name what it tracks: taken as the camera's own optical frame")
-    return Poses(_merged(tuple(links)), topic, up=_up(last.parent))
+    return _carried(tuple(links), topic, _up(last.parent))
+
+
+def _carried(links: tuple[Link, ...], source: str, up: str) -> Poses:
+    """What is still behind the last link that moves is how the camera is mounted: no pose that is listed."""
+    *listed, last = _merged(links)
+    if isinstance(last.motion, Trajectory):
+        return Poses((*listed, last), source, up=up)
+    return Poses(tuple(listed), source, Convention(to_camera=last.at(0, 0, PLAIN)), up)
 
 
 def _of_last(container: Container, topic: str) -> tuple[int, int]:

@@ -47,7 +47,7 @@ class Tree:
 
     still: dict[str, tuple[str, Edge]] = field(default_factory=dict)  # child -> parent, latest value: /tf_static
     moving: dict[str, dict[str, Edge]] = field(default_factory=dict)  # child -> parent -> all values: /tf
-    refused: Counter[str] = field(default_factory=Counter)  # reason -> transforms
+    refused: Counter[tuple[str, str]] = field(default_factory=Counter)  # child, reason -> transforms
 
     def add(self, placed: Placed) -> None:
         """A transform of /tf."""
@@ -123,5 +123,5 @@ class Tree:
         if placed.parent == placed.child or not placed.child or not placed.parent:
             reason = "transform names no two frames"
         if reason:
-            self.refused[reason] += 1
+            self.refused[placed.child, reason] += 1
         return reason is None

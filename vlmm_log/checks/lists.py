@@ -10,6 +10,8 @@ import numpy as np
 from vlmm_log.checks.case import Case
 from vlmm_log.checks.report import Evidence, Finding, Told
 from vlmm_log.readers.images import ImageError
+from vlmm_log.readers.poses import ELSEWHERE
+from vlmm_log.readers.stamps import SET_BACK, SORTED_IN
 from vlmm_log.readers.stored import Shot
 from vlmm_log.types import Int64
 
@@ -100,15 +102,15 @@ def _unusable(case: Case) -> Told:
         of_pose = reason.startswith(POSE_ROWS)
         share = count / (count + (poses if of_pose else images))
         text, figures = f"{count} rows are not used: {reason}", {"rows": float(count), "share": share}
-        if share > UNUSABLE:
+        if share > UNUSABLE and not reason.startswith(ELSEWHERE):
             remedy = "write the poses again with unit quaternions" if of_pose else "mend these rows of the lists"
             yield Finding("unusable rows", text, remedy, figures)
         else:
             yield Evidence("unusable rows", text, figures)
     for reason, count in sorted(case.samples.left_out.items()):
-        if (
-            reason in rows or "within" in reason or not case.samples.seen
-        ):  # pairs, poses, no frame at all: told elsewhere
+        if reason in rows or "within" in reason or not case.samples.seen:  # pairs, poses, no frame: told elsewhere
+            continue
+        if reason in (SORTED_IN, SET_BACK):  # the images are used
             continue
         share = count / (count + len(case.samples.seen))
         remedy = "mend or replace these images, or give the camera that they are from with --intrinsics"

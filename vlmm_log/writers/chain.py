@@ -85,7 +85,8 @@ def as_links(poses: Poses, gap_ns: int) -> Chain:
         return as_poses(poses, gap_ns)
     before = () if c.world is None else (Link(c.world),)
     after = tuple(Link(T) for T in ends[1:] if T is not None)
-    told = ("the poses' convention is written as still transforms",) if before or after else ()
+    turned = c.world is not None or AXES[c.axes] is not None
+    told = ("the poses' convention is written as still transforms",) if turned else ()
     return Chain((*before, *(_plain(x, c) for x in poses.links), *after), None, gap_ns, poses.world_up, told)
 
 

@@ -71,7 +71,8 @@ def encoded_depth(image: StoredImage, units_per_meter: float, shift: tuple[int, 
         return _compressed(PNG_DEPTH, NO_HEADER + bytes(file), (header.height, header.width))
     values = depth_values(image)
     size = (values.shape[0], values.shape[1])
-    if bare and "compressedDepth" in image.encoding:
+    scaled = image.encoding.startswith("32FC1") and units_per_meter != 1  # floats are metres, by REP 118
+    if bare and "compressedDepth" in image.encoding and not scaled:
         return _compressed(image.encoding, bytes(image.data), size)
     if values.dtype != np.uint16:
         return raw_depth(image, units_per_meter, shift)
