@@ -6,6 +6,7 @@ import shutil
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,7 +18,7 @@ import render_room
 from faults import FAULTS, linked
 from vlmm_log import se3
 from vlmm_log.checks.camera import plausible, scaled
-from vlmm_log.checks.depth_scale import KINECT_STEP, kinect_units
+from vlmm_log.checks.depth_scale import KINECT_STEP, kinect_units, units_by_steps
 from vlmm_log.checks.edges import FLIPS, HALF, align
 from vlmm_log.checks.lists import nearest_s
 from vlmm_log.checks.motion_pairs import carried
@@ -101,6 +102,25 @@ def test_the_steps_of_structured_light_tell_its_units(units, seed):
     found = kinect_units(np.bincount(stored[stored < 65536], minlength=65536))
     assert found is not None
     assert found == pytest.approx(units, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("steps_per_m", "nearest", "size", "told"),
+    [
+        (1 / KINECT_STEP, 0.8, (480, 640), 1000),
+        (32 * 1004 * 0.055, 0.6, (720, 1280), None),  # D415: focal length px, baseline m, steps of 1/32 px
+        (32 * 1004 * 0.055, 0.6, (480, 640), None),  # aligned to a smaller colour image
+        (32 * 1004 * 0.055, 2.5, (720, 1280), None),
+        (32 * 640 * 0.095, 0.6, (720, 1280), None),  # D455
+    ],
+)
+def test_stereo_is_no_kinect_at_five_times_the_units(steps_per_m, nearest, size, told):
+    depth = np.random.default_rng(0).uniform(nearest, 6.0, 200_000)
+    stored = np.rint(1000 * steps_per_m / np.rint(steps_per_m / depth)).astype(np.int64)
+    samples = SimpleNamespace(stored=np.bincount(stored, minlength=65536), probes=[SimpleNamespace(size=size)])
+    found, known = units_by_steps(SimpleNamespace(samples=samples, log=SimpleNamespace(units_per_meter=1000.0)))
+    assert known == told
+    assert told is not None or np.isnan(found)
 
 
 @pytest.mark.parametrize("step", [1, 5, 20])

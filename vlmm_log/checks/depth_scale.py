@@ -13,6 +13,9 @@ UNITS = (1000.0, 5000.0, 10000.0, 1.0)  # stored values of a metre that are in u
 # A structured-light sensor tells depth by disparity in steps of 1/8 px, so its steps grow with z^2:
 # step = z^2 / (8 f b). Khoshelham and Oude Elberink, Sensors 2012: 1 / (f b) = 2.85e-5 / cm -> 0.00285 / m.
 KINECT_STEP = 0.00287  # 1/m
+# Stereo cameras have finer steps of the same kind: a D415's and a D455's at 1280x720 are a Kinect's at five times the
+# units. But a Kinect sees nothing that near, and no such wide image.
+NEAREST_M, WIDEST = 0.4, 1.5  # depth of the nearest percentile; width over height
 AGREE = 0.2  # an estimate within this share of known units means them
 SPREAD = 0.3  # estimates at several depths that differ by more are no ruler
 COARSE = 2.5  # stored values; finer steps may be rounding
@@ -61,9 +64,14 @@ def units_by_steps(case: Case) -> tuple[float, float | None]:
     steps = kinect_units(case.samples.stored)
     if steps is None:
         return np.nan, None
-    ruler = steps * case.log.units_per_meter / counted_per_meter(case.log)
+    counted = case.log.units_per_meter / counted_per_meter(case.log)  # stored values of what is counted as one
+    ruler = steps * counted
     known = min(UNITS, key=lambda u: abs(np.log(u / ruler)))
-    return ruler, known if abs(ruler / known - 1) < AGREE else None
+    total = np.cumsum(case.samples.stored)
+    nearest_m = int(np.searchsorted(total, 0.01 * total[-1])) * counted / known
+    wide = any(probe.size[1] > WIDEST * probe.size[0] for probe in case.samples.probes)
+    is_kinect = abs(ruler / known - 1) < AGREE and nearest_m >= NEAREST_M and not wide
+    return (ruler, known) if is_kinect else (np.nan, None)
 
 
 def kinect_units(stored: Int64) -> float | None:
