@@ -125,6 +125,7 @@ def test_other_settings_than_it_was_fitted_with_are_refused(tmp_path):
     assert "fitted with noise.scale = 1, this run has 0.7; fit it anew or --set noise.scale=1" in told
     assert "(2 more differ)" in refused(file, s.changed(["keyframes.gap=0.1s", "noise.scale=2", "map.tau_o=3"]))
     assert "fitted with keyframes.gap = 3, this run has 0.1s" in refused(file, s.changed(["keyframes.gap=0.1s"]))
+    assert "fitted with tracks." in refused(file, s.changed([f"tracks.{next(iter(vars(s.tracks)))}=0.123"]))
     write(file, s, **{"noise.scale": 1})  # an integer is the same number
     assert load_models(there)[0].calibration is not None
     write(file, s, **{"noise.of_another_version": 1})

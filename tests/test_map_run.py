@@ -161,6 +161,12 @@ def test_masks_of_the_answers_are_written(run, room, tmp_path):
         find(run[1], QUERIES[0], masks=tmp_path / "masks")
     with pytest.raises(InputError, match="a map file holds no masks"):
         find(run[2], QUERIES[0], masks=tmp_path / "more")
+    with pytest.raises(InputError, match="masks: exists; give --force"):  # before anything else is written
+        find(run[1], QUERIES[0], masks=tmp_path / "masks", rrd=tmp_path / "hits.rrd")
+    assert not (tmp_path / "hits.rrd").exists()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="file: is no folder; name another"):
+        find(run[1], QUERIES[0], masks=tmp_path / "file", force=True)
 
 
 def test_elements_histories_are_states(run):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vlmm_log.elements import Elements, MotionClass
-from vlmm_log.outputs import claim
+from vlmm_log.outputs import claim, claim_folder
 from vlmm_log.pipeline.language.answer import answer
 from vlmm_log.pipeline.language.explain import explain
 from vlmm_log.queries import Answer, Query, View
@@ -168,6 +168,8 @@ def find(
     if masks is not None and not is_recording(source):
         raise InputError(f"{source}: a map file holds no masks; ask the run's recording")
     claim([path for path in (rrd, *_grid_files(grid)) if path is not None], force=force, inputs=[source])
+    if masks is not None:
+        claim_folder(masks, force=force)
     saved = load_map(source)
     s = _settings(saved, sets)
     found, told = _ask(saved, text, s)

@@ -63,7 +63,7 @@ class Calibration:
         )
 
 
-DECIDING = ("keyframes", "flow", "gate", "noise", "ego", "objects", "map")
+DECIDING = ("keyframes", "flow", "gate", "noise", "ego", "objects", "tracks", "map")
 
 
 def deciding(s: Settings) -> dict[str, object]:

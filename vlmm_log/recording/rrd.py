@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import pyarrow as pa
 import rerun.chunk
 
 from vlmm_log.entries import Entry, Look
@@ -23,7 +24,7 @@ from vlmm_log.types import InputError, Run, RunEnd
 
 RUN, END = "/__properties/vlmm", "/__properties/vlmm_end"
 FOOTER = b"RRF2FOOT"  # starts the last twelve bytes of a whole recording
-TIMELINES = ("frame", "time")
+TIMELINES, ROW_ID = ("frame", "time"), "rerun.controls.RowId"
 COPY = "whole.rrd"
 
 
@@ -54,7 +55,7 @@ class Rrd:
         for chunk in _chunks(self.path, self.file, self.by_entity, wanted):
             entity = chunk.entity_path.removeprefix("/")
             whole = self.components.get(entity, set())
-            for row_id, row in _rows(chunk, frames):
+            for row_id, row in _rows(self.path, chunk, frames):
                 part = waiting.pop((entity, row_id), None)
                 row = row if part is None else part.joined(row)
                 if chunk.is_static:
@@ -95,10 +96,7 @@ def open_rrd(path: Path) -> Rrd:
     whole = not lost
     try:
         _check_sound(path, file)
-        told: dict[str, dict[str, Any]] = {RUN: {}, END: {}}
-        for chunk in _chunks(path, file, whole, [RUN, END]):
-            for _, row in _rows(chunk):
-                told[chunk.entity_path].update({name: cell[0].as_py() for name, cell in row.cells.items()})
+        told = _told(path, file, whole)
         if not told[RUN]:
             raise InputError(f"{path}: not a recording of vlmm-log process: it holds no settings")
         run, end = run_of(path, told[RUN]), end_of(path, told[END]) if told[END] else None
@@ -112,6 +110,18 @@ def open_rrd(path: Path) -> Rrd:
     if copy is not None:
         weakref.finalize(recording, copy.cleanup)
     return recording
+
+
+def _told(path: Path, file: Path, whole: bool) -> dict[str, dict[str, Any]]:
+    """What the recording says of its run and its end, by name."""
+    told: dict[str, dict[str, Any]] = {RUN: {}, END: {}}
+    for chunk in _chunks(path, file, whole, [RUN, END]):
+        for _, row in _rows(path, chunk):
+            try:
+                told[chunk.entity_path].update({name: cell[0].as_py() for name, cell in row.cells.items()})
+            except (ValueError, LookupError) as e:
+                raise _unreadable(path, e) from e
+    return told
 
 
 def _check_sound(path: Path, file: Path) -> None:
@@ -162,12 +172,19 @@ def _unreadable(path: Path, e: Exception) -> InputError:
     return InputError(f"{path}: cannot be read as a Rerun recording: {str(e)[-120:]}")
 
 
-def _rows(chunk: Any, wanted: Container[int] | None = None) -> Iterator[tuple[bytes, _Row]]:
-    batch = chunk.to_record_batch()
-    names = batch.schema.names
-    ids = batch.column("rerun.controls.RowId").to_pylist()
-    frames, times = (batch.column(t).cast("int64").to_pylist() if t in names else [None] * len(ids) for t in TIMELINES)
-    components = [(name, batch.column(name)) for name in names if name not in (*TIMELINES, "rerun.controls.RowId")]
+def _rows(path: Path, chunk: Any, wanted: Container[int] | None = None) -> Iterator[tuple[bytes, _Row]]:
+    try:
+        batch = chunk.to_record_batch()
+        names = batch.schema.names
+        ids = batch.column(ROW_ID).to_pylist()
+        frames, times = (
+            batch.column(t).cast("int64").to_pylist() if t in names else [None] * len(ids) for t in TIMELINES
+        )
+        components = [(name, batch.column(name)) for name in names if name not in (*TIMELINES, ROW_ID)]
+        if not all(pa.types.is_list(column.type) for _, column in components):
+            raise ValueError(f"{chunk.entity_path} holds what is no component")
+    except (ValueError, LookupError, RuntimeError, pa.ArrowException) as e:
+        raise _unreadable(path, e) from e
     for k, row_id in enumerate(ids):
         if wanted is not None and frames[k] is not None and frames[k] not in wanted:
             continue

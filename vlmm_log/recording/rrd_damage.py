@@ -47,7 +47,7 @@ def first_damage(file: BinaryIO, size: int) -> int | None:
             file.seek(at)
             if not _is_sound(file.read(length)):
                 return at
-    return None if end == size else end + MESSAGE_HEADER.size
+    return None if end >= size else end + MESSAGE_HEADER.size
 
 
 def _is_sound(message: bytes) -> bool:
