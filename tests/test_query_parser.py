@@ -225,6 +225,14 @@ MEANINGS = [
     ("which person is near the door", AllOf((PERSON, Near(DOOR)))),
     ("which of the doors moved", AllOf((DOOR, Moved()))),
     ("snarks", Named("snark")),
+    ("cups put on the table", AllOf((CUP, Moved(), Side("above", TABLE), Near(TABLE)))),
+    ("the cup was put away", AllOf((CUP, Moved()))),
+    ("chairs that stayed put", both(CHAIR, STAYS)),
+    ("chairs that can move and moved", AllOf((CHAIR, Movable(), Moved()))),
+    ("chairs that can be lifted and moved", both(CHAIR, Movable())),
+    ("is the cup still there", both(CUP, Seen(-1.0, None))),
+    ("chairs that moved closer than 1 m to the door", AllOf((CHAIR, Moved(), Near(DOOR, 1.0)))),
+    ("the black and white chair", Named("black and white chair")),
     ("chairs, please", CHAIR),
     ("everything", AllOf()),
 ]
@@ -350,6 +358,10 @@ def test_what_is_returned(text, returns):
         ("cups near the door, not the table", (", not the table",)),
         ("things not near the door and the table", ("not near the door and the table",)),
         ("things that may not have moved", ("have",)),
+        ("things that moved further than 1 m", ("further than 1 m",)),
+        ("chairs that moved to the left", ("to the left",)),
+        ("the door that stayed open", ("open",)),
+        ("doors that remained closed", ("closed",)),
     ],
 )
 def test_what_cannot_be_parsed_is_told(text, left_out):

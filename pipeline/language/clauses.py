@@ -8,9 +8,11 @@ from vlmm_log.pipeline.language.asked import Asked
 from vlmm_log.pipeline.language.cursor import Cursor
 from vlmm_log.pipeline.language.lead import Lead, lead
 from vlmm_log.pipeline.language.measures import (
+    NOW,
     after_motion,
     comparison,
     in_time,
+    quantity,
     time_spans,
 )
 from vlmm_log.pipeline.language.nouns import (
@@ -144,13 +146,26 @@ def _motion(c: Cursor, asked: Asked, head: Lead) -> Node | None:
     if head.agent in ("personal", "noun") and not (head.can or generic):
         return None  # "what did I move"
     c.take()
-    node: Node = Movable() if head.can or generic else Moved()
+    could = head.can and (head.finite or head.be or form != "past")  # "can move and moved": it did
+    node: Node = Movable() if could or generic else Moved()
     while True:
         more = after_motion(c)
         if more:
             node = both(node, more)
-        elif not (_by_agent(c, head) or _degree(c, asked) or _particle(c)):
+        elif not (_by_agent(c, head) or _degree(c, asked) or _way(c) or _particle(c)):
             return node
+
+
+def _way(c: Cursor) -> bool:
+    """ "further than 1 m", "to the left": how far and where to, which no map holds, is no place of the camera's."""
+    start = c.at
+    if c.has("my_side") and c.peek().text.startswith("to "):
+        c.take()
+    elif not (c.accept("comparative") or "").startswith("distance_m") or quantity(c) is None or c.has("from_"):
+        c.at = start
+        return False
+    c.tell(start)
+    return True
 
 
 def _particle(c: Cursor) -> bool:
@@ -197,6 +212,8 @@ def _stay(c: Cursor) -> Node | None:
     c.take()
     c.accept("still")
     c.skip("particle")
+    if c.has("verb"):
+        c.take("unparsed")  # "stays open": how it is, a map does not hold
     return AllOf((Class("static"), Not(Moved())))  # it stays: what moved for a while did not
 
 
@@ -242,7 +259,9 @@ def own_clause(c: Cursor, asked: Asked, inner: int) -> Node | None:
 
 
 def _seen(c: Cursor) -> Node | None:
-    """ "seen after 3 s"."""
+    """ "seen after 3 s", "still there"."""
+    if c.accept("lasting"):
+        return Seen(*NOW)
     if not c.accept("seen"):
         return None
     return either([Seen(*span) for span in time_spans(c) or [(None, None)]])

@@ -103,13 +103,15 @@ def _inflected(table: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     for text, past in [*((v, ()) for v in verbs["regular"]), *verbs["irregular"].items()]:
         head, *rest = text.split()
         for form, words in _forms(head).items():
-            for word in words if form != "past" or not past else ():
-                yield " ".join([word, *rest]), "verb", form
+            for phrase in (" ".join([word, *rest]) for word in words):
+                if phrase not in past and (form != "past" or not past):
+                    yield phrase, "verb", form
         yield from ((p, "verb", "past") for p in past)
         if not rest:
             yield from ((f"{stem}able", "movable", "movable") for stem in _stems(head))
     for verb in table["stay"]["verbs"]:
-        yield from ((word, "stay", "stay") for words in _forms(verb).values() for word in words)
+        head, *rest = verb.split()
+        yield from ((" ".join([word, *rest]), "stay", "stay") for words in _forms(head).values() for word in words)
     yield from ((word, "stay", "with_still") for word in table["stay"]["with_still"])
 
 
