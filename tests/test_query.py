@@ -183,7 +183,7 @@ def test_relations(text, expected):
         ("moving things near the table after 5 s", {4}),
         ("what moved at 1500 ms", {1, 4}),
         ("things that moved before 0.6 s or after 6.5 s", {4, 5}),
-        ("things that did not move before 1.5 s or between 3 s and 4 s", EVERY - {1, 4, 5}),
+        ("things that did not move before 1.5 s or between 3 s and 4 s", EVERY - {1, 3, 4, 5}),
         ("what moved for more than 1.5 s", {4, 5}),
         ("things that moved at least twice", {5}),
     ],

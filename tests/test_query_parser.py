@@ -157,7 +157,7 @@ MEANINGS = [
     ("what moved between 1 and 2 minutes", Moved(60, 120)),
     ("what moved from 00:05 to 01:02.5", Moved(5, 62.5)),
     ("after 3 s, what moved?", Moved(3, None)),
-    ("chairs that did not move in the last 5 seconds", AllOf((CHAIR, Not(Moved(-5, None))))),
+    ("chairs that did not move in the last 5 seconds", AllOf((CHAIR, Not(Moved(-5, None)), Seen(-5, None)))),
     ("things moving near the door after 3 s", AllOf((Moved(3, None), Near(DOOR)))),
     ("moved before 3 s or moved after 10 s", AnyOf((Moved(0, 3), Moved(10, None)))),
     ("chairs seen after 3 s", AllOf((CHAIR, Seen(3, None)))),
@@ -170,7 +170,10 @@ MEANINGS = [
             ("in the first 2 seconds", (0, 2), "after 3.5 s", (3.5, None)),
         )
     ],
-    ("things that did not move before 1 s or after 3 s", Not(AnyOf((Moved(0, 1), Moved(3, None))))),
+    (
+        "things that did not move before 1 s or after 3 s",  # of what was not seen then, nothing is known
+        AllOf((Not(AnyOf((Moved(0, 1), Moved(3, None)))), Seen(0, 1), Seen(3, None))),
+    ),
     ("before 1 s or after 3 s, what moved?", AnyOf((Moved(0, 1), Moved(3, None)))),
     ("cups seen before 1 s or after 3 s", AllOf((CUP, AnyOf((Seen(0, 1), Seen(3, None)))))),
     ("people who walked or sat down after 3 s", AllOf((PERSON, Moved(3, None)))),

@@ -90,9 +90,9 @@ def present(c: Cursor) -> Span | None:
 
 
 def in_time(node: Node, spans: Sequence[Span]) -> Node:
-    """The tree in any of the time spans, see ``within``; what is not so now must have been seen now."""
+    """The tree in any of the time spans, see ``within``; what is not so must have been seen then."""
     denies = any(isinstance(n, Not) for n, _ in walk(node))
-    return both(within(node, spans), Seen(*NOW)) if denies and NOW in spans else within(node, spans)
+    return both(within(node, spans), *(Seen(*span) for span in spans if denies))
 
 
 def _span(c: Cursor, word: str | None) -> Span | None:
