@@ -113,11 +113,9 @@ def _speed(moved: Observations) -> float:
 
 def _within(seen: Observations, intervals: Int64) -> NDArray[np.bool_]:
     """(k,) whether each observation began in a motion interval."""
-    first = seen["first_ns"]
-    inside = np.zeros(seen.size, np.bool_)
-    for start, stop in intervals:
-        inside |= (first >= start) & (first < stop)
-    return inside
+    first, (starts, stops) = seen["first_ns"], np.sort(intervals, axis=0).T
+    began, ended = np.searchsorted(starts, first, "right"), np.searchsorted(stops, first, "right")
+    return np.asarray(began > ended)
 
 
 def motion_intervals(seen: Observations, moved: NDArray[np.bool_], pairs: int) -> Int64:
@@ -127,7 +125,7 @@ def motion_intervals(seen: Observations, moved: NDArray[np.bool_], pairs: int) -
     steps = np.diff(seen["first_ns"])
     usual = 2 * steps[steps > 0].min(initial=np.iinfo(np.int64).max // 2)
     apart = steps > np.maximum(usual, seen["second_ns"][:-1] - seen["first_ns"][:-1])
-    run = np.concatenate([[0], np.cumsum(apart | ~moved[1:] | ~moved[:-1])])
-    kept = [members for r in np.unique(run[moved]) if (members := np.flatnonzero(run == r)).size >= pairs]
-    spans = [[seen["first_ns"][m[0]], seen["second_ns"][m].max()] for m in kept]
-    return np.array(spans, np.int64).reshape(-1, 2)
+    starts = np.flatnonzero(np.concatenate([[True], apart | ~moved[1:] | ~moved[:-1]]))
+    kept = moved[starts] & (np.diff(starts, append=seen.size) >= pairs)
+    spans = np.stack([seen["first_ns"][starts], np.maximum.reduceat(seen["second_ns"], starts)], axis=1)
+    return np.asarray(spans[kept], np.int64)

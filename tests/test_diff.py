@@ -15,10 +15,12 @@ import numpy as np
 import pytest
 from command_line import command
 from rerun.chunk import Chunk
+from scipy.optimize import linear_sum_assignment
 
 import render_room
 import vlmm_log
 from planted import cell, later, rewritten, without
+from vlmm_log.comparison.maps import NEAR_M, OTHER_LABEL, matched
 from vlmm_log.comparison.measures import figures
 from vlmm_log.comparison.report import report
 from vlmm_log.comparison.stages import STAGES
@@ -480,6 +482,23 @@ def test_elements_added_and_removed(recording, tmp_path):
     assert (change.a, change.b, change.kinds) == (1, None, ("removed",))
     (change,) = vlmm_log.diff(other, recording).elements.changes
     assert (change.a, change.b, change.kinds) == (None, 1, ("added",))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_renumbered_elements_are_matched_as_the_whole_table_of_costs_says(seed):
+    """Only what is near is looked at, by groups; the textbook's form is one assignment of all to all."""
+    rng = np.random.default_rng(seed)
+
+    def elements(count, first):
+        labels, places = rng.choice(["cup", "box"], count), rng.uniform(0, 2.5, (count, 3))
+        return {"element_id": np.arange(first, first + count), "label": tuple(labels), "position": places}
+
+    a, b = elements(int(rng.integers(1, 40)), 0), elements(int(rng.integers(1, 40)), 1000)
+    far = np.linalg.norm(a["position"][:, None] - b["position"][None], axis=2) / NEAR_M
+    cost = far + OTHER_LABEL * (np.array(a["label"])[:, None] != np.array(b["label"])[None])
+    cost = np.where((far <= 1) & (cost <= 1.5), cost, 1e6)
+    wanted = [(i, j) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < 1e6]
+    assert matched(a, b) == wanted
 
 
 def test_queries_by_rank(recording, tmp_path):

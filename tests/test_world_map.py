@@ -200,6 +200,23 @@ def test_intervals_span_runs_of_moving_pairs():
     assert motion_intervals(seen, np.zeros(9, bool), 1).shape == (0, 2)
 
 
+@given(st.lists(st.tuples(st.integers(0, 8), st.booleans()), min_size=1, max_size=30), st.integers(1, 4))
+def test_intervals_are_those_of_a_walk_over_the_pairs(steps, pairs):
+    """Pairs last 3 steps; two in a row that begin more than twice the usual step apart are two runs."""
+    seen, moved = observations(len(steps)), np.array([m for _, m in steps])
+    seen["first_ns"] = np.cumsum([step for step, _ in steps])
+    seen["second_ns"] = seen["first_ns"] + 3
+    usual = min((step for step, _ in steps[1:] if step), default=9)
+    runs = [[]]
+    for k, (step, moves) in enumerate(steps):
+        if not moves or (k and step > max(2 * usual, 3)):
+            runs.append([])
+        if moves:
+            runs[-1].append(k)
+    spans = [[seen["first_ns"][r[0]], seen["second_ns"][r[-1]]] for r in runs if len(r) >= pairs]
+    assert motion_intervals(seen, moved, pairs).tolist() == spans
+
+
 def test_time_unseen_ends_an_interval():
     seen = observations(6)
     seen["first_ns"][3:] += 100 * 10**9

@@ -20,8 +20,8 @@ Columns = Mapping[str, Column]
 
 def elements_difference(a: Table | None, b: Table | None, atol: float, rtol: float) -> ElementsDifference:
     """Elements matched by id, then across ids by position and label; what was added, removed, or is not as it was."""
-    x, y = (table.columns if table is not None and len(table) else None for table in (a, b))
-    pairs = [] if x is None or y is None else _pairs(x, y)
+    x, y = (_ready(table.columns) if table is not None and len(table) else None for table in (a, b))
+    pairs = [] if x is None or y is None else matched(x, y)
     changes = [] if x is None or y is None else [_change(x, y, i, j, atol, rtol) for i, j in pairs]
     lost = set(range(0 if a is None else len(a))) - {i for i, _ in pairs}
     new = set(range(0 if b is None else len(b))) - {j for _, j in pairs}
@@ -30,11 +30,17 @@ def elements_difference(a: Table | None, b: Table | None, atol: float, rtol: flo
     return ElementsDifference(len(pairs), tuple(change for change in changes if change is not None))
 
 
+def _ready(columns: Columns) -> Columns:
+    """The numbers that are compared as arrays of double precision: made once, not for each element."""
+    numbers = {name: np.asarray(columns[name], np.float64) for name in ("position", *FIGURES) if name in columns}
+    return {**columns, **numbers}
+
+
 def _ids(columns: Columns) -> list[int]:
     return [int(i) for i in columns["element_id"]]
 
 
-def _pairs(a: Columns, b: Columns) -> list[tuple[int, int]]:
+def matched(a: Columns, b: Columns) -> list[tuple[int, int]]:
     """Rows that are one thing: of the same id, if near or of the same label, then the nearest by place and label."""
     number = {i: j for j, i in enumerate(_ids(b))}
     same = [(i, number[key]) for i, key in enumerate(_ids(a)) if key in number]
@@ -45,16 +51,34 @@ def _pairs(a: Columns, b: Columns) -> list[tuple[int, int]]:
 
 
 def _assigned(a: Columns, b: Columns, rest_a: list[int], rest_b: list[int]) -> list[tuple[int, int]]:
+    """The cheapest pairs of what is near, among each group that hangs together: groups are few elements each."""
     from scipy.optimize import linear_sum_assignment
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
 
     if not rest_a or not rest_b:
         return []
-    far = np.linalg.norm(_positions(a)[rest_a, None] - _positions(b)[None, rest_b], axis=2) / NEAR_M
-    other = np.array([[a["label"][i] != b["label"][j] for j in rest_b] for i in rest_a])
-    cost = far + OTHER_LABEL * other
-    allowed = (far <= 1) & (cost <= 1.5)  # another label only at half the distance
-    rows, columns = linear_sum_assignment(np.where(allowed, cost, 1e6))
-    return [(rest_a[i], rest_b[j]) for i, j in zip(rows, columns, strict=True) if allowed[i, j]]
+    trees = cKDTree(_positions(a)[rest_a]), cKDTree(_positions(b)[rest_b])
+    near = trees[0].sparse_distance_matrix(trees[1], NEAR_M, output_type="ndarray")
+    other = np.array(
+        [a["label"][rest_a[i]] != b["label"][rest_b[j]] for i, j in zip(near["i"], near["j"], strict=True)]
+    )
+    cost = near["v"] / NEAR_M + OTHER_LABEL * other
+    allowed = cost <= 1.5  # another label only at half the distance
+    i, j, cost = near["i"][allowed], near["j"][allowed], cost[allowed]
+    n = len(rest_a) + len(rest_b)
+    graph = coo_array((np.ones(i.size, np.int8), (i, j + len(rest_a))), shape=(n, n))
+    group = connected_components(graph, directed=False)[1][i]
+    pairs = []
+    for edges in np.split(np.argsort(group, kind="stable"), np.flatnonzero(np.diff(np.sort(group))) + 1):
+        rows, row = np.unique(i[edges], return_inverse=True)
+        columns, column = np.unique(j[edges], return_inverse=True)
+        table = np.full((rows.size, columns.size), 1e6)
+        table[row, column] = cost[edges]
+        chosen = zip(*linear_sum_assignment(table), strict=True)
+        pairs += [(rest_a[rows[r]], rest_b[columns[c]]) for r, c in chosen if table[r, c] < 1e6]
+    return pairs
 
 
 def _positions(columns: Columns) -> NDArray[np.float64]:

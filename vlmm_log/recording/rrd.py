@@ -137,7 +137,7 @@ def _components(path: Path, file: Path, whole: bool) -> dict[str, set[str]]:
     if whole:
         for column in _store(path, file).schema().component_columns():
             names = found.setdefault(column.entity_path.removeprefix("/"), set())
-            if not column.is_static:
+            if not column.is_static and not column.component.startswith("Clear:"):  # a row of its own
                 names.add(column.component)
         return found
     return {chunk.entity_path.removeprefix("/"): set() for chunk in _chunks(path, file, whole, None)}
