@@ -11,12 +11,13 @@ from test_rrd_file import largest_file
 import vlmm_log
 import vlmm_log.sinks.mcap
 from vlmm_log.background import empty_background, grown, summed
-from vlmm_log.elements import WorldMap
+from vlmm_log.elements import OBSERVATION, Sightings, Tracked, WorldMap
+from vlmm_log.entries import LabelNames
 from vlmm_log.outputs import replacing
 from vlmm_log.protocols import Moment
 from vlmm_log.sinks.map_entries import MapEntries
 from vlmm_log.sinks.summary import Summary
-from vlmm_log.types import InputError, Motion
+from vlmm_log.types import InputError, Motion, Segments
 
 VOXEL_M = 0.05
 
@@ -39,6 +40,29 @@ def test_a_background_that_grows_no_more_is_logged_no_more():
     assert whole > logged[-1] > whole / 1.6
     assert sum(logged) < 6 * whole
     assert [len(v.points) for _, v in entries.rest()] == [whole]
+
+
+def shown(ids):
+    """A frame in which elements of a name each are seen."""
+    n = len(ids)
+    labels = np.arange(n + 1, dtype=np.int32)[None]
+    segments = Segments(labels, ("cup",) * n, np.ones(n, np.float32), np.full(n, -1, np.int64))
+    boxes = np.zeros((n, 4), np.int32)
+    sightings = Sightings(segments, np.zeros(n, OBSERVATION), boxes, np.ones(n, bool))
+    return Tracked(sightings, np.zeros((n, 1), np.float32), np.array(ids, np.int64), np.ones(n, np.float32))
+
+
+def test_the_names_of_masks_are_told_again_only_as_far_as_they_are_seen():
+    entries, told, known = MapEntries(), 0, {}
+    for k in range(2000):
+        ids = range(k + 1, k + 6)
+        for name, value in entries.of_tracked(shown(ids)):
+            if isinstance(value, LabelNames):
+                assert name.endswith("/instances")
+                known = {number: text for number, text, _ in value.classes}
+                told += len(known)
+        assert {i: known.get(i) for i in ids} == {i: f"{i} cup" for i in ids}
+    assert told < 2000 * 5 * 30  # and not the square of what was seen
 
 
 def motion(pixels, d_m):

@@ -45,6 +45,7 @@ SIGMAS = 2.0  # half axis of an ellipsoid in standard deviations of the element'
 HISTORY = 3  # observations from which on an element has a history: what is seen in passing would crowd the recording
 MORE = 1000  # voxels
 GROWTH = 1.25  # the background cloud is logged again once it has grown by this factor: its whole cost stays linear
+MOST_NAMES = 20  # times as many as a frame shows, that its masks' names hold
 LARGEST_ID = 65535  # that a mask image holds; element ids beyond it come round again
 
 
@@ -121,6 +122,8 @@ class MapEntries:
         yield f"{IMAGE}/instances", Labels(np.take(lookup, segments.labels))
         if names.items() <= self._names.items():
             return
+        if len(self._names) > MOST_NAMES * len(names):  # all of a long run's, told with each new one, are too many
+            self._names = {}
         self._names |= names
         told = tuple((c, name, id_color(c) if c else CLEAR) for c, name in sorted(self._names.items()))
         yield f"{IMAGE}/instances", LabelNames(told)
