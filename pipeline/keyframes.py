@@ -13,6 +13,7 @@ from vlmm_log.settings import KeyframeSettings
 from vlmm_log.types import Frame, FramePair, InputError, Skipped
 
 T = TypeVar("T")
+SET_BACK_NS = 1_000_000_000  # a stamp that lies farther back is of a clock that was set
 LONGEST_GAP = 300  # frames held back at most, so that memory stays bounded
 
 
@@ -52,7 +53,7 @@ def pairs(stream: Iterable[Frame | Skipped], s: KeyframeSettings) -> Iterator[Fr
         if isinstance(item, Skipped):
             yield item
             continue
-        if waiting and item.stamp_ns <= waiting[-1].stamp_ns:  # the clock was set back: no pair spans that
+        if waiting and item.stamp_ns < waiting[-1].stamp_ns - SET_BACK_NS:  # no pair spans that
             yield from _rest(waiting, starts, gap)
         waiting.append(item)
         starts.append(count % s.stride == 0)

@@ -55,8 +55,9 @@ def test_gap_in_seconds(steps_ms, gap_ms, stride):
 
 @pytest.mark.parametrize("gap", [2, "0.2s"])
 def test_no_pair_spans_a_clock_that_was_set_back(gap):
-    before, after = map(frame, range(4)), [frame(k, (k - 4) * 100 * MS) for k in range(4, 8)]
-    expected = told(map(frame, range(4)), gap) + told(after, gap)
+    before = [frame(k, 3_600_000 * MS + k * 100 * MS) for k in range(4)]
+    after = [frame(k, (k - 4) * 100 * MS) for k in range(4, 8)]
+    expected = told(before, gap) + told(after, gap)
     assert (0, 2) in expected
     assert told([*before, *after], gap) == expected
 

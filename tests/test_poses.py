@@ -78,7 +78,7 @@ def test_a_transform_needs_two_frames(parent, child):
     tree = Tree()
     tree.add(placed(parent, child))
     tree.add_still(placed(parent, child))
-    assert tree.refused == {"transform names no two frames": 2}
+    assert tree.refused == {(child, "transform names no two frames"): 2}
     assert not tree.moving and not tree.still
 
 

@@ -71,10 +71,12 @@ def _as_rrd(recording: Recording, target: Path) -> Path:
 
     container = RerunFile(target, recording.run)
     drawn = Redrawn(container)
-    for entry in recording.entries(recording.entities):
-        drawn.put(entry)
-    drawn.rest()
-    container.finish(recording.end or RunEnd(False, "", 0, 0))
+    try:
+        for entry in recording.entries(recording.entities):
+            drawn.put(entry)
+        drawn.rest()
+    finally:  # a refused message leaves no open file
+        container.finish(recording.end or RunEnd(False, "", 0, 0))
     return target
 
 
