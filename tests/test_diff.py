@@ -494,6 +494,7 @@ def test_renumbered_elements_are_matched_as_the_whole_table_of_costs_says(seed):
         return {"element_id": np.arange(first, first + count), "label": tuple(labels), "position": places}
 
     a, b = elements(int(rng.integers(1, 40)), 0), elements(int(rng.integers(1, 40)), 1000)
+    a["position"][0], b["position"][-1, 1] = np.nan, np.inf  # as a damaged map may have them
     far = np.linalg.norm(a["position"][:, None] - b["position"][None], axis=2) / NEAR_M
     cost = far + OTHER_LABEL * (np.array(a["label"])[:, None] != np.array(b["label"])[None])
     cost = np.where((far <= 1) & (cost <= 1.5), cost, 1e6)

@@ -57,6 +57,7 @@ def _assigned(a: Columns, b: Columns, rest_a: list[int], rest_b: list[int]) -> l
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
+    rest_a, rest_b = _placed(a, rest_a), _placed(b, rest_b)
     if not rest_a or not rest_b:
         return []
     trees = cKDTree(_positions(a)[rest_a]), cKDTree(_positions(b)[rest_b])
@@ -79,6 +80,11 @@ def _assigned(a: Columns, b: Columns, rest_a: list[int], rest_b: list[int]) -> l
         chosen = zip(*linear_sum_assignment(table), strict=True)
         pairs += [(rest_a[rows[r]], rest_b[columns[c]]) for r, c in chosen if table[r, c] < 1e6]
     return pairs
+
+
+def _placed(columns: Columns, rows: list[int]) -> list[int]:
+    """Those whose position is known: of a damaged map it may be none."""
+    return [i for i in rows if np.isfinite(_positions(columns)[i]).all()]
 
 
 def _positions(columns: Columns) -> NDArray[np.float64]:
