@@ -39,6 +39,7 @@ class Rrd:
     by_entity: bool
     components: dict[str, set[str]]  # of each entity, in time; {} where that is not known
     file: Path  # what is read: without a torn end
+    chunks: _Chunks
     lost: list[str] = field(default_factory=list)
     looks: bool = True
 
@@ -52,7 +53,7 @@ class Rrd:
         wanted = [f"/{entity}" for entity in sorted(self.entities & frozenset(entities))]
         waiting: dict[tuple[str, bytes], _Row] = {}  # a row's components may lie in several chunks of a rewritten file
         still: dict[tuple[str, object], Entry] = {}  # the last told holds for the whole recording
-        for chunk in _chunks(self.path, self.file, self.by_entity, wanted):
+        for chunk in self.chunks.of(wanted):
             entity = chunk.entity_path.removeprefix("/")
             whole = self.components.get(entity, set())
             for row_id, row in _rows(self.path, chunk, frames):
@@ -96,31 +97,32 @@ def open_rrd(path: Path) -> Rrd:
     whole = not lost
     try:
         _check_sound(path, file)
-        told = _told(path, file, whole)
+        chunks = _Chunks(path, file, whole)
+        told = _told(chunks)
         if not told[RUN]:
             raise InputError(f"{path}: not a recording of vlmm-log process: it holds no settings")
         run, end = run_of(path, told[RUN]), end_of(path, told[END]) if told[END] else None
-        components = _components(path, file, whole)
+        components = chunks.components()
     except BaseException:
         if copy is not None:
             copy.cleanup()
         raise
     entities = frozenset(name for name in components if not name.startswith("__properties"))
-    recording = Rrd(path, run, end, entities, whole, components if whole else {}, file, lost)
+    recording = Rrd(path, run, end, entities, whole, components if whole else {}, file, chunks, lost)
     if copy is not None:
         weakref.finalize(recording, copy.cleanup)
     return recording
 
 
-def _told(path: Path, file: Path, whole: bool) -> dict[str, dict[str, Any]]:
+def _told(chunks: _Chunks) -> dict[str, dict[str, Any]]:
     """What the recording says of its run and its end, by name."""
     told: dict[str, dict[str, Any]] = {RUN: {}, END: {}}
-    for chunk in _chunks(path, file, whole, [RUN, END]):
-        for _, row in _rows(path, chunk):
+    for chunk in chunks.of([RUN, END]):
+        for _, row in _rows(chunks.path, chunk):
             try:
                 told[chunk.entity_path].update({name: cell[0].as_py() for name, cell in row.cells.items()})
             except (ValueError, LookupError) as e:
-                raise _unreadable(path, e) from e
+                raise _unreadable(chunks.path, e) from e
     return told
 
 
@@ -131,41 +133,43 @@ def _check_sound(path: Path, file: Path) -> None:
         raise InputError(f"{path}: its message at byte {damage} is damaged; process the log again")
 
 
-def _components(path: Path, file: Path, whole: bool) -> dict[str, set[str]]:
-    """Entity -> its components in time; of static ones alone, none."""
-    found: dict[str, set[str]] = {}
-    if whole:
-        for column in _store(path, file).schema().component_columns():
+class _Chunks:
+    """The chunks of a file, whose footer is read once: that costs more than a small entity does."""
+
+    def __init__(self, path: Path, file: Path, whole: bool) -> None:
+        self.path, self.whole = path, whole
+        try:
+            with warnings.catch_warnings(action="ignore"):  # that there is no footer, we tell ourselves
+                reader = rerun.chunk.RrdReader(file)
+            self._source: Any = reader.store() if whole else reader
+        except (OSError, ValueError, RuntimeError) as e:
+            raise _unreadable(path, e) from e
+
+    def components(self) -> dict[str, set[str]]:
+        """Entity -> its components in time; of static ones alone and of a file without a footer, none."""
+        if not self.whole:
+            return {chunk.entity_path.removeprefix("/"): set() for chunk in self._read(None)}
+        found: dict[str, set[str]] = {}
+        for column in self._source.schema().component_columns():
             names = found.setdefault(column.entity_path.removeprefix("/"), set())
             if not column.is_static and not column.component.startswith("Clear:"):  # a row of its own
                 names.add(column.component)
         return found
-    return {chunk.entity_path.removeprefix("/"): set() for chunk in _chunks(path, file, whole, None)}
 
+    def of(self, wanted: list[str]) -> Iterator[Any]:
+        """The chunks of entities, as the file has them. Raises InputError where they cannot be read."""
+        for chunk in self._read(wanted) if wanted else ():
+            if chunk.entity_path not in wanted:
+                told = f"its footer and its message disagree on {chunk.entity_path!r}"
+                raise _unreadable(self.path, ValueError(told))
+            yield chunk
 
-def _store(path: Path, file: Path) -> Any:
-    try:
-        return rerun.chunk.RrdReader(file).store()
-    except (OSError, ValueError, RuntimeError) as e:
-        raise _unreadable(path, e) from e
-
-
-def _chunks(path: Path, file: Path, whole: bool, wanted: list[str] | None) -> Iterator[Any]:
-    if wanted is not None and not wanted:
-        return
-    try:
-        with warnings.catch_warnings(action="ignore"):  # that there is no footer, we tell ourselves
-            reader = rerun.chunk.RrdReader(file)
-            stream = reader.store().stream() if whole else reader.stream()
-            if wanted is None:
-                yield from stream
-                return
-            for chunk in stream.filter(content=wanted):
-                if chunk.entity_path not in wanted:
-                    raise ValueError(f"its footer and its message disagree on {chunk.entity_path!r}")
-                yield chunk
-    except (OSError, ValueError, RuntimeError) as e:
-        raise _unreadable(path, e) from e
+    def _read(self, wanted: list[str] | None) -> Iterator[Any]:
+        try:
+            stream = self._source.stream()
+            yield from stream if wanted is None else stream.filter(content=wanted)
+        except (OSError, ValueError, RuntimeError) as e:
+            raise _unreadable(self.path, e) from e
 
 
 def _unreadable(path: Path, e: Exception) -> InputError:
