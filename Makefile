@@ -34,7 +34,7 @@ demo: $(VENV)/.ready-sim  ## render a kitchen, process it, ask which door opens,
 
 TESTS ?= tests
 test: $(VENV)/.ready-dev  ## all tests, or TESTS=tests/test_x.py
-	$(PY) -m pytest -q -n auto --dist loadscope $(TESTS)
+	$(PY) -m pytest -q -n auto --dist loadscope --max-worker-restart=0 $(TESTS)
 
 house:  ## the import tree as the installed package has it, of links, for tools that read files
 	rm -rf .house && mkdir -p .house/vlmm_log
