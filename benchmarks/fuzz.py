@@ -31,7 +31,7 @@ from benchmarks.data import ROOT
 from vlmm_log.types import InputError
 
 sys.path[:0] = [str(ROOT / "tests")]
-from fuzzed import FORMATS, Format, apply, contents, limited, watched  # noqa: E402
+from fuzzed import FORMATS, MESSAGES, Format, apply, contents, limited, watched  # noqa: E402
 
 SPARE = 3 << 30  # bytes of addresses that an input may take
 CHILD = 400  # inputs that one process reads: Rerun keeps threads of every recording that it wrote
@@ -81,7 +81,7 @@ def most_memory() -> float:
 
 def read_many(name: str, sample: Path, first: int, until: float) -> None:
     """The child: inputs from a seed on, a line before and after each."""
-    form = next(f for f in FORMATS if f.name == name)
+    form = next(f for f in (*FORMATS, MESSAGES) if f.name == name)
     whole = contents(sample)
     channel = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what a library prints is no outcome
@@ -145,7 +145,7 @@ def main() -> None:
     if asked.child:
         read_many(asked.child[0], Path(asked.child[1]), asked.seed, asked.until)
         return
-    forms = [form for form in FORMATS if asked.only in form.name]
+    forms = [form for form in (*FORMATS, MESSAGES) if asked.only in form.name]
     results = {form.name: Tried(seed=asked.seed) for form in forms}
     with tempfile.TemporaryDirectory(prefix="vlmm-log-") as room:
         samples = {form.name: Path(room) / str(k) for k, form in enumerate(forms)}

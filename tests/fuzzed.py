@@ -4,6 +4,7 @@ A reader gives how many losses were told; it may refuse with InputError (or Imag
 raised), and do nothing else: not crash, not write outside of its folder, not connect, not start a program.
 """
 
+import io
 import json
 import sys
 import tempfile
@@ -27,6 +28,7 @@ from vlmm_log.calibration import FORMAT, VERSION, deciding, load_calibration
 from vlmm_log.readers import compressed_depth, open_log
 from vlmm_log.readers.images import ImageError, decode_depth, decode_rgb
 from vlmm_log.readers.stored import StoredImage
+from vlmm_log.recording.rrd_damage import ARROW, places
 from vlmm_log.settings import ReadSettings, Settings
 from vlmm_log.types import Frame, InputError, Skipped
 
@@ -546,6 +548,13 @@ def _recordings(folder, schema):
         (folder / "log" / path).unlink()
 
 
+def broken_message(data, rng):
+    """A Rerun recording with one table's bytes broken, its length left whole: lengths tell of most other damage."""
+    tables = [(at, length) for kind, at, length in places(io.BytesIO(data), len(data)) if kind == ARROW]
+    at, length = tables[int(rng.integers(0, len(tables)))]
+    return data[:at] + broken_bytes(data[at : at + length], rng)[:length].ljust(length, b"\0") + data[at + length :]
+
+
 def read_recording(folder):
     """The recording in ``diff``, ``view`` and ``query``."""
     import vlmm_log
@@ -579,6 +588,11 @@ RECORDINGS = tuple(
     )
     for schema, suffix in (("rrd", "rrd"), ("ros2", "mcap"), ("foxglove", "mcap"))
 )
+
+MESSAGES = Format(
+    "recording, messages", partial(_recordings, schema="rrd"), (("a.rrd", broken_message),), read_recording
+)
+"""For `benchmarks.fuzz` alone: what still ends the process by chance, in Rerun's decoder, ends no test's run."""
 
 NETWORK = Format("ONNX network", _network, (("*", broken_bytes),), read_network)
 

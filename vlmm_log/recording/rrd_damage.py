@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import BinaryIO
 
 import lz4.block  # type: ignore[import-untyped]
+import numpy as np
 import pyarrow as pa
 
 STREAM_HEADER, MESSAGE_HEADER = 12, struct.Struct("<QQ")  # kind and length of what follows
@@ -60,13 +61,52 @@ def _is_sound(message: bytes) -> bool:
             if size > EXPANSION * len(data):
                 return False
             data = lz4.block.decompress(data, uncompressed_size=size)
+        if not all(_inside(batch) for batch in pa.ipc.MessageReader.open_stream(data) if batch.type == "record batch"):
+            return False
         table = pa.ipc.open_stream(data).read_all()
         table.validate(full=True)
         if any("\0" in f"{field.name} {field.type}" for field in table.schema):
             return False  # Rerun hands these over as C's strings
-    except (AssertionError, LookupError, ValueError, OSError, RuntimeError, pa.ArrowException, lz4.block.LZ4BlockError):
+    except (
+        AssertionError,
+        LookupError,
+        ValueError,
+        OSError,
+        RuntimeError,
+        struct.error,
+        pa.ArrowException,
+        lz4.block.LZ4BlockError,
+    ):
         return False
     return True
+
+
+def _inside(batch: pa.Message) -> bool:
+    """Whether all buffers of a record batch lie in its body: Arrow's own reader looks at those that it needs alone.
+
+    A Flatbuffers table, https://flatbuffers.dev/internals; ``Message`` and ``RecordBatch`` of Arrow's format, in which
+    the third field is the header, and the buffers.
+    """
+    data = memoryview(batch.metadata)
+    header = _third(data, _offset(data, 0))
+    buffers = _third(data, header + _offset(data, header))
+    start = buffers + _offset(data, buffers)
+    places = np.frombuffer(data, "<i8", 2 * _offset(data, start), start + 4).reshape(-1, 2)
+    size = batch.body.size
+    return bool(((places >= 0) & (places <= size)).all() and (places.sum(axis=1) <= size).all())
+
+
+def _third(data: memoryview, table: int) -> int:
+    """Where the third field of a Flatbuffers table is. Raises ValueError where it has none."""
+    entries = table - struct.unpack_from("<i", data, table)[0]
+    (field,) = struct.unpack_from("<H", data, entries + 4 + 2 * 2)
+    if not field:
+        raise ValueError("a field is missing")
+    return table + int(field)
+
+
+def _offset(data: memoryview, at: int) -> int:
+    return int(struct.unpack_from("<I", data, at)[0])
 
 
 def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
