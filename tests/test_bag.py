@@ -265,6 +265,37 @@ def test_transforms_of_other_frames_cost_the_camera_no_pose(tmp_path):
     assert told == {"not of the camera's frames: pose is not finite": len(STAMPS), "pose is not finite": 1}
 
 
+def test_transforms_that_carry_the_camera_are_known_when_all_is_read(tmp_path):
+    """Its mount is said before the window alone; the world that was asked for is carried by a marker."""
+    m = Messages("ros2")
+    nowhere = [float("nan")] * 3 + [0.0, 0, 0, 1]
+    mount = [("/tf", STAMPS[0], m.tf(STAMPS[0], ("base", OPTICAL, [0.0] * 6 + [1.0])))]
+    moved = [("/tf", t, m.tf(t, ("odom", "base", at(t)))) for t in STAMPS]
+    bad = [("/tf", STAMPS[4] + 1, m.tf(STAMPS[4] + 1, ("odom", "base", nowhere)))]
+    bad += [("/tf", STAMPS[4] + 2, m.tf(STAMPS[4] + 2, ("odom", "marker", nowhere)))]
+    still = [("/tf", STAMPS[4] + 3, m.tf(STAMPS[4] + 3, ("odom", "marker", [0.0] * 6 + [1.0])))]
+    path = made(tmp_path, "ros2", images(m), mount, moved, bad, still)
+    start_s = (STAMPS[3] - STAMPS[0]) / 1e9
+    for world, carried in (("", 1), (":marker", 2)):
+        s = Settings.load(sets=[f"read.start_s={start_s}", "read.pose_gap_s=0.001", f"read.topics=pose=tf{world}"])
+        told = Counter(x.reason for x in open_log(path, s.read).frames(0, EVER) if isinstance(x, Skipped))
+        assert told["pose is not finite"] == carried
+        assert told["not of the camera's frames: pose is not finite"] == 2 - carried
+
+
+@pytest.mark.parametrize("source", ["tf", "tf:world", ""])
+def test_a_camera_on_a_tripod_stands_where_its_still_transforms_say(tmp_path, source):
+    m = Messages("ros2")
+    stand, lens = [1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8], [0.1, 0.2, 0.3, -0.5, 0.5, -0.5, 0.5]
+    robot = tf(m, ("world", "robot", at), still=(("world", "tripod", stand), ("tripod", OPTICAL, lens)))
+    path = made(tmp_path, "ros2", images(m), robot)
+    frames, left_out = read(path, *([f"read.topics=pose={source}"] if source else []))
+    assert len(frames) == len(STAMPS)
+    assert not left_out
+    for f in frames:
+        np.testing.assert_allclose(f.T_world_cam, matrix(stand) @ matrix(lens), atol=1e-12)
+
+
 def test_ground_truth_poses_come_before_transforms(tmp_path):
     m = Messages("bag")
     truth = [("/vicon/camera", t, m.pose_stamped(t, "world", at(t))) for t in STAMPS]

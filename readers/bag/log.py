@@ -20,7 +20,7 @@ from vlmm_log.readers.bag.messages import TRANSFORMS
 from vlmm_log.readers.bag.ranking import TF
 from vlmm_log.readers.bag.synchronise import LATENESS_NS, Pair, synchronised
 from vlmm_log.readers.bag.topics import Choice, choose, parse_topics
-from vlmm_log.readers.bag.trajectories import WORLDS, read_poses, read_tree
+from vlmm_log.readers.bag.trajectories import WORLDS, read_poses, read_tree, refusals
 from vlmm_log.readers.bag.transforms import Tree
 from vlmm_log.readers.intrinsics import Intrinsics
 from vlmm_log.readers.poses import Poses
@@ -234,9 +234,10 @@ class BagLog:
         first, last = self._log_window(limit_ns(self.s.start_s), limit_ns(self.s.stop_s))
         room_ns = limit_ns(abs(self.s.pose_offset_s)) + limit_ns(self.s.pose_gap_s)
         window = max(first - room_ns, self.container.start_ns), min(last + room_ns, self.container.stop_ns)
-        tree = read_tree(self.container, self.choice.rgb.frame, *window, self.left_out)
+        tree = read_tree(self.container, *window, self.left_out)
         if window[0] > self.container.start_ns:
             self._told += tree.complete(self._still)
+        self.left_out += refusals(tree, self.choice, window[0])
         poses = None
         for pose in self._pose_topics(tree):
             poses = read_poses(self.container, replace(self.choice, pose=pose), tree, window, self.left_out, self._told)
@@ -262,7 +263,7 @@ class BagLog:
     def _still(self) -> Tree:
         """ROS 1 repeats still transforms on /tf, so its beginning is read too."""
         start_ns = self.container.start_ns
-        return read_tree(self.container, self.choice.rgb.frame, start_ns, start_ns + STILL_NS, [])
+        return read_tree(self.container, start_ns, start_ns + STILL_NS, [])
 
 
 def streams_of(container: Container, roles: Mapping[str, str]) -> tuple[Stream, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 
 import numpy as np
 
@@ -19,11 +18,8 @@ from vlmm_log.types import InputError, Skipped
 WORLDS = ("world", "map", "odom", "earth")  # REP 105, and what trackers call theirs
 
 
-def read_tree(container: Container, frame: str, start_ns: int, stop_ns: int, left_out: list[Skipped]) -> Tree:
-    """The tree of frames: /tf_static of the whole log, /tf of a window of log time.
-
-    What is refused is told; of frames that carry the camera's ``frame`` as a loss of poses.
-    """
+def read_tree(container: Container, start_ns: int, stop_ns: int, left_out: list[Skipped]) -> Tree:
+    """The tree of frames: /tf_static of the whole log, /tf of a window of log time. It holds what it refused."""
     tree = Tree()
     names = [t.name for t in container.topics if t.type in TRANSFORMS]
     still = [name for name in names if name.rsplit("/", 1)[-1] == "tf_static"]
@@ -32,10 +28,17 @@ def read_tree(container: Container, frame: str, start_ns: int, stop_ns: int, lef
     moving = [name for name in names if name not in still]
     for placed in _placed(container, moving, start_ns, stop_ns, left_out):
         tree.add(placed)
-    carrying = tree.ancestors(frame)
-    for (child, reason), count in sorted(tree.refused.items()):
-        left_out += [Skipped(start_ns, "/tf", reason if child in carrying else f"{ELSEWHERE}: {reason}")] * count
     return tree
+
+
+def refusals(tree: Tree, choice: Choice, start_ns: int) -> list[Skipped]:
+    """What a complete tree refused: a loss of poses where a frame carries the camera's or the world's."""
+    ends = choice.rgb.frame, _asked_world(choice)
+    carrying = {name for frame in ends if frame for name in tree.ancestors(frame)}
+    told: list[Skipped] = []
+    for (child, reason), count in sorted(tree.refused.items()):
+        told += [Skipped(start_ns, "/tf", reason if child in carrying else f"{ELSEWHERE}: {reason}")] * count
+    return told
 
 
 def read_poses(
@@ -44,14 +47,14 @@ def read_poses(
     """The poses of the chosen source over a window of log time; None where there are none."""
     frame = choice.rgb.frame
     if choice.pose.split(":")[0] == TF:
-        return _of_tree(container, tree, frame, choice.pose.partition(":")[2])
+        return _of_tree(container, tree, frame, _asked_world(choice))
     if not choice.pose:
         return None
     return _of_topic(container, choice.pose, tree, frame, window, left_out, notes)
 
 
 def _of_tree(container: Container, tree: Tree, frame: str, world: str) -> Poses | None:
-    root = world.lstrip("/") or tree.ancestors(frame)[-1]
+    root = world or tree.ancestors(frame)[-1]
     links = tree.chain(root, frame)
     if not links and not world:
         return None  # the tree does not know the camera
@@ -64,6 +67,12 @@ def _of_tree(container: Container, tree: Tree, frame: str, world: str) -> Poses 
     path = tree.ancestors(frame)
     named = path[: path.index(root) + 1][::-1] if root in path else [root, "...", frame]
     return _carried(links, f"tf, {' -> '.join(named)}", _up(root))
+
+
+def _asked_world(choice: Choice) -> str:
+    """The frame of ``tf:FRAME``; "" where none was asked for."""
+    source, _, world = choice.pose.partition(":")
+    return world.lstrip("/") if source == TF else ""
 
 
 def _of_topic(
@@ -102,7 +111,7 @@ def _of_topic(
 def _carried(links: tuple[Link, ...], source: str, up: str) -> Poses:
     """What is still behind the last link that moves is how the camera is mounted: no pose that is listed."""
     *listed, last = _merged(links)
-    if isinstance(last.motion, Trajectory):
+    if isinstance(last.motion, Trajectory) or not listed:
         return Poses((*listed, last), source, up=up)
     return Poses(tuple(listed), source, Convention(to_camera=last.at(0, 0, PLAIN)), up)
 
@@ -123,10 +132,12 @@ def _placed(
 ) -> Iterator[Placed]:
     if not topics:
         return
+    known = {(x.what, x.reason) for x in left_out}  # a damaged chunk is met by every topic
     for message in container.messages(topics, start_ns, stop_ns):
         if isinstance(message, Skipped):
-            if (message.what, message.reason) not in {(x.what, x.reason) for x in left_out}:
+            if (message.what, message.reason) not in known:
                 left_out.append(message)
+                known.add((message.what, message.reason))
             continue
         try:
             content = message.decode()
@@ -151,7 +162,4 @@ def _merged(links: tuple[Link, ...]) -> tuple[Link, ...]:
 
 def _up(world: str) -> str:
     """REP 103: z points up, but in an optical frame, where y points down."""
-    with suppress(ValueError):
-        world.index("optical")
-        return "-y"
-    return "+z"
+    return "-y" if "optical" in world else "+z"
