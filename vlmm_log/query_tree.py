@@ -168,21 +168,26 @@ def walk(root: Node) -> Iterator[tuple[Node, int]]:
 
 
 def within(node: Node, spans: Sequence[Span]) -> Node:
-    """The tree with its motions bound to any of the time spans; where it speaks of none, seen in any of them."""
-    bound = _bound(node, either([Moved(*span) for span in spans]))
+    """The tree with its motions bound to any of the time spans; where it speaks of none, seen in any of them.
+
+    What did not move in them must have been seen in each.
+    """
+    bound = _bound(node, spans)
     return bound if bound != node else both(node, either([Seen(*span) for span in spans]))
 
 
-def _bound(node: Node, moved: Node) -> Node:
+def _bound(node: Node, spans: Sequence[Span]) -> Node:
     match node:
         case Moved(None, None):
-            return moved
+            return either([Moved(*span) for span in spans])
         case Not(inner):
-            return Not(_bound(inner, moved))
+            bound = _bound(inner, spans)
+            return node if bound == inner else both(Not(bound), *(Seen(*span) for span in spans))
         case AllOf(nodes):
-            return AllOf(tuple(_bound(n, moved) for n in nodes))
+            parts = tuple(_bound(n, spans) for n in nodes)
+            return node if parts == nodes else both(*parts)
         case AnyOf(nodes):
-            return AnyOf(tuple(_bound(n, moved) for n in nodes))
+            return AnyOf(tuple(_bound(n, spans) for n in nodes))
         case _:
             return node
 

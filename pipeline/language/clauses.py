@@ -11,7 +11,6 @@ from vlmm_log.pipeline.language.measures import (
     NOW,
     after_motion,
     comparison,
-    in_time,
     quantity,
     time_spans,
 )
@@ -41,6 +40,7 @@ from vlmm_log.query_tree import (
     either,
     negated,
     walk,
+    within,
 )
 
 DEEPEST = 3  # clauses of targets within each other
@@ -102,7 +102,7 @@ def predicate(c: Cursor, asked: Asked, carried: Lead) -> tuple[Node, Lead] | Non
         asked.order, asked.limit = before.order, before.limit
         return AllOf(), replace(head, negate=False)
     node = negated(node) if head.negate else node
-    return (in_time(node, spans) if spans else node), head
+    return (within(node, spans) if spans else node), head
 
 
 def _counts_motions(node: Node) -> bool:
@@ -146,7 +146,8 @@ def _motion(c: Cursor, asked: Asked, head: Lead) -> Node | None:
     if head.agent in ("personal", "noun") and not (head.can or generic):
         return None  # "what did I move"
     c.take()
-    could = head.can and (head.finite or head.be or form != "past")  # "can move and moved": it did
+    carried = head.be or head.have or form != "past"  # "could have opened or moved"; but "can move and moved": it did
+    could = head.can and (head.finite or carried)
     node: Node = Movable() if could or generic else Moved()
     while True:
         more = after_motion(c)
@@ -212,6 +213,9 @@ def _stay(c: Cursor) -> Node | None:
     c.take()
     c.accept("still")
     c.skip("particle")
+    if c.value("verb") == "ing":
+        c.take()
+        return Moved()  # "remains rolling"
     if c.has("verb"):
         c.take("unparsed")  # "stays open": how it is, a map does not hold
     return AllOf((Class("static"), Not(Moved())))  # it stays: what moved for a while did not
@@ -260,11 +264,10 @@ def own_clause(c: Cursor, asked: Asked, inner: int) -> Node | None:
 
 def _seen(c: Cursor) -> Node | None:
     """ "seen after 3 s", "still there"."""
-    if c.accept("lasting"):
-        return Seen(*NOW)
-    if not c.accept("seen"):
+    usual: Span = NOW if c.accept("lasting") else (None, None)
+    if usual != NOW and not c.accept("seen"):
         return None
-    return either([Seen(*span) for span in time_spans(c) or [(None, None)]])
+    return either([Seen(*span) for span in time_spans(c) or [usual]])
 
 
 def _is_a(c: Cursor, asked: Asked) -> Node | None:

@@ -18,6 +18,7 @@ class Lead:
     be: bool = False
     finite: bool = False  # an auxiliary or modal of its own
     do: bool = False
+    have: bool = False
     agent: str = ""
     span: Span | None = None  # "currently", "just"
     inner: int = 0  # clauses of targets that it lies within
@@ -46,12 +47,12 @@ def auxiliaries(c: Cursor, now: Lead) -> Lead:
         if aux is not None:
             own = aux != "part"
             ended = own and not now.finite
-            be, do = now.be or aux in ("be", "part"), now.do or aux == "do"
-            now = replace(now, be=be, do=do, finite=now.finite or own, can=now.can and not ended)
+            be, do, have = now.be or aux in ("be", "part"), now.do or aux == "do", now.have or aux == "have"
+            now = replace(now, be=be, do=do, have=have, finite=now.finite or own, can=now.can and not ended)
         elif neg in ("not", "no") or (neg == "without" and c.has("dynamic", "verb", ahead=1)):
             now = replace(now, negate=not now.negate)
-        elif modal == "can" or (modal == "to" and c.has("verb", "aux", ahead=1)):
-            now = replace(now, can=True, finite=True)
+        elif modal in ("can", "can be") or (modal == "to" and c.has("verb", "aux", ahead=1)):
+            now = replace(now, can=True, finite=True, be=now.be or modal == "can be")
         elif now.span is None and (span := present(c)):
             now = replace(now, span=span)
             continue

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from vlmm_log.pipeline.language.cursor import Cursor
-from vlmm_log.query_tree import Compare, Node, Not, Seen, Span, both, walk, within
+from vlmm_log.query_tree import Compare, Node, Span
 
 DIMENSIONS = {
     **dict.fromkeys(("size_m", "height_m", "distance_m"), "length"),
@@ -87,12 +86,6 @@ def present(c: Cursor) -> Span | None:
         return None
     c.take()
     return NOW if value == "now" else JUST
-
-
-def in_time(node: Node, spans: Sequence[Span]) -> Node:
-    """The tree in any of the time spans, see ``within``; what is not so must have been seen then."""
-    denies = any(isinstance(n, Not) for n, _ in walk(node))
-    return both(within(node, spans), *(Seen(*span) for span in spans if denies))
 
 
 def _span(c: Cursor, word: str | None) -> Span | None:

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 from vlmm_log.pipeline.language.asked import Asked, Phrase
 from vlmm_log.pipeline.language.cursor import Cursor
-from vlmm_log.pipeline.language.measures import in_time, number_here, present
+from vlmm_log.pipeline.language.measures import number_here, present
 from vlmm_log.pipeline.language.words import is_plural, looks_like_participle, singular
 from vlmm_log.queries import Order
-from vlmm_log.query_tree import Class, Movable, Moved, Named, Node, both, either, negated
+from vlmm_log.query_tree import Class, Movable, Moved, Named, Node, both, either, negated, within
 
 MOST_ASKED = 10**6
 
@@ -180,7 +180,7 @@ def _modifier(c: Cursor) -> Node | None:
         c.at = start
         return None
     node = negated(node) if negate else node
-    return in_time(node, [span]) if span else node
+    return within(node, [span]) if span else node
 
 
 def described(c: Cursor) -> Node | None:

@@ -21,12 +21,12 @@ from vlmm_log.pipeline.language.asked import Asked, Phrase
 from vlmm_log.pipeline.language.clauses import own_clause, predicates
 from vlmm_log.pipeline.language.cursor import Cursor
 from vlmm_log.pipeline.language.lead import NOTHING, Lead, auxiliaries
-from vlmm_log.pipeline.language.measures import in_time, time_spans
+from vlmm_log.pipeline.language.measures import time_spans
 from vlmm_log.pipeline.language.nouns import joined, noun_phrases, starts_phrase, without_last_word
 from vlmm_log.pipeline.language.places import ranked_to
 from vlmm_log.pipeline.language.words import also, tokenise
 from vlmm_log.queries import Query
-from vlmm_log.query_tree import AllOf, Node, both, either, negated, refuse, refuse_long
+from vlmm_log.query_tree import AllOf, Node, both, either, negated, refuse, refuse_long, within
 
 DEEPEST = 6  # exceptions within exceptions
 
@@ -49,7 +49,7 @@ def read(text: str) -> tuple[Query, Cursor]:
     carried = auxiliaries(c, NOTHING) if c.has("aux", "modal") else NOTHING
     _opening(c, asked)
     node = _union(c, asked, carried, 0)
-    node = in_time(node, spans) if spans else node
+    node = within(node, spans) if spans else node
     if node == AllOf() and "word" not in c.roles and not (asked.order or asked.limit or _says(c, "thing")):
         c.roles = ["unparsed"] * len(c.roles)  # "please show me the": nothing was asked for
     return Query(node, asked.order, asked.limit, asked.returns, text, c.unparsed()), c
@@ -142,7 +142,7 @@ def _told(c: Cursor, asked: Asked, carried: Lead, depth: int, nodes: list[Node])
             if acted_on and starts_phrase(c):
                 nodes += [either([p.node for p in noun_phrases(c)])]
         elif spans:
-            nodes = [in_time(both(*nodes), spans)]
+            nodes = [within(both(*nodes), spans)]
         elif c.has("conj"):
             break
         elif not (c.accept("stop", "rel", "adverb") or ranked_to(c, asked, lambda: own_clause(c, asked, 1))):
