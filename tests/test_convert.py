@@ -561,9 +561,9 @@ def test_a_folder_that_is_no_log_is_never_replaced(tmp_path):
     assert convert(log, mine).to == "ros2"  # an empty one is as good as none
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters/dear").write_text("aunt")
-    assert "holds no log" in refused(log, tmp_path / "letters", force=True)
-    assert "is the input or holds it" in refused(log, log, to="tum", force=True)
-    assert "is the input or holds it" in refused(log, tmp_path, to="tum", force=True)
+    assert "holds other things" in refused(log, tmp_path / "letters", force=True)
+    assert "is or holds" in refused(log, log, to="tum", force=True)
+    assert "is or holds" in refused(log, tmp_path, to="tum", force=True)
     convert(log, tmp_path / "a.bag")
     assert "is the input" in refused(tmp_path / "a.bag", tmp_path / "a.bag", force=True)
 

@@ -164,9 +164,18 @@ def test_masks_of_the_answers_are_written(run, room, tmp_path):
     with pytest.raises(InputError, match="masks: exists; give --force"):  # before anything else is written
         find(run[1], QUERIES[0], masks=tmp_path / "masks", rrd=tmp_path / "hits.rrd")
     assert not (tmp_path / "hits.rrd").exists()
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file: is no folder; name another"):
-        find(run[1], QUERIES[0], masks=tmp_path / "file", force=True)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/file").write_text("")
+    for name, told in (
+        ("file", "file: is a file; name a folder"),
+        ("x" * 300, "cannot be written"),
+        (".", "hits.rrd, which the run needs"),  # it is written there
+    ):
+        with pytest.raises(InputError, match=told):
+            find(run[1], QUERIES[0], masks=tmp_path / "out" / name, rrd=tmp_path / "out/hits.rrd", force=True)
+    (tmp_path / "masks/000099.png").write_bytes(b"of an earlier run")
+    find(run[1], QUERIES[0], masks=tmp_path / "masks", force=True)
+    assert sorted(path.name for path in (tmp_path / "masks").iterdir()) == [f"{k:06d}.png" for k in range(6)]
 
 
 def test_elements_histories_are_states(run):

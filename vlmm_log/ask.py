@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vlmm_log.elements import Elements, MotionClass
-from vlmm_log.outputs import claim, claim_folder
+from vlmm_log.outputs import claim
 from vlmm_log.pipeline.language.answer import answer
 from vlmm_log.pipeline.language.explain import explain
 from vlmm_log.queries import Answer, Query, View
 from vlmm_log.recording import is_recording
 from vlmm_log.settings import MapSettings, QuerySettings, Settings
 from vlmm_log.types import Float64, InputError
+from vlmm_log.writers.staging import claim_folder, replacing_folder
 
 if TYPE_CHECKING:
     from vlmm_log.maps import SavedMap
@@ -167,9 +168,10 @@ def find(
     source = Path(source)
     if masks is not None and not is_recording(source):
         raise InputError(f"{source}: a map file holds no masks; ask the run's recording")
-    claim([path for path in (rrd, *_grid_files(grid)) if path is not None], force=force, inputs=[source])
+    files = [path for path in (rrd, *_grid_files(grid)) if path is not None]
+    claim(files, force=force, inputs=[source])
     if masks is not None:
-        claim_folder(masks, force=force)
+        claim_folder(masks, [source, *files], force=force)
     saved = load_map(source)
     s = _settings(saved, sets)
     found, told = _ask(saved, text, s)
@@ -195,7 +197,8 @@ def find(
         from vlmm_log.recording.map import read_masks
         from vlmm_log.sinks.hits import write_masks
 
-        write_masks(masks, found, read_masks(source), force=force)
+        with replacing_folder(masks) as staged:
+            write_masks(staged, found, read_masks(source))
         outputs.append(masks)
     return Found(found, saved.world.columns, tuple(outputs), told)
 

@@ -75,14 +75,6 @@ def claim(
         taken |= where
 
 
-def claim_folder(folder: Path, *, force: bool) -> None:
-    """Raises InputError where a folder to write into is there already (without ``force``), or a file."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is no folder; name another")
-    if folder.exists() and not force:
-        raise InputError(f"{folder}: exists; give --force to write into it")
-
-
 def takes_files(folder: Path) -> bool:
     """Whether files can be made in a folder: tried, since permissions do not tell of mounts and of root."""
     try:

@@ -16,7 +16,7 @@ from vlmm_log.sinks.map_entries import LARGEST_ID, MAP, hit_names, hits, mask_cl
 from vlmm_log.sinks.pair_entries import IMAGE
 from vlmm_log.sinks.rerun_values import RerunValues
 from vlmm_log.sinks.rrd_file import RrdFile
-from vlmm_log.types import InputError, UInt8, UInt16
+from vlmm_log.types import UInt8, UInt16
 
 
 def write_hits(
@@ -40,21 +40,16 @@ def write_hits(
         file.finish()
 
 
-def write_masks(folder: Path, answer: Answer, masks: Iterable[tuple[int, int, UInt16]], *, force: bool) -> None:
-    """A PNG for each frame, named by its index: 255 where the answers are, else 0.
+def write_masks(folder: Path, answer: Answer, masks: Iterable[tuple[int, int, UInt16]]) -> None:
+    """A folder with a PNG for each frame, named by its index: 255 where the answers are, else 0.
 
-    Raises InputError where the folder exists (without ``force``) or cannot be written.
+    Raises OSError where the disk refuses.
     """
     wanted = 255 * _wanted(answer)
-    try:
-        folder.mkdir(parents=True, exist_ok=force)
-        for index, _, labels in masks:
-            _, png = cv2.imencode(".png", wanted[labels])
-            (folder / f"{index:06d}.png").write_bytes(png.tobytes())
-    except FileExistsError as e:
-        raise InputError(f"{folder}: exists; give --force to write into it") from e
-    except OSError as e:
-        raise InputError(f"{folder}: cannot be written: {e.strerror or e}") from e
+    folder.mkdir()
+    for index, _, labels in masks:
+        _, png = cv2.imencode(".png", wanted[labels])
+        (folder / f"{index:06d}.png").write_bytes(png.tobytes())
 
 
 def _wanted(answer: Answer) -> UInt8:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -12,7 +13,8 @@ from pathlib import Path
 from vlmm_log.outputs import takes_files
 from vlmm_log.types import InputError
 
-LOGS = ("metadata.yaml", "rgb.txt")  # what the folders hold that may be replaced
+LOGS = ("metadata.yaml", "rgb.txt")  # what the folders hold that may be replaced; others are of frames alone
+FRAME = re.compile(r"[0-9]{6,}\.png")
 REPLACED = "replaced"
 HERE, EXCHANGE = -100, 2  # of renameat2
 
@@ -20,14 +22,14 @@ HERE, EXCHANGE = -100, 2  # of renameat2
 def claim_folder(path: Path, inputs: Iterable[Path], *, force: bool) -> None:
     """Refuse before a long run what could not be written after it.
 
-    Raises InputError where the name is an input or holds one, is taken (without ``force``), or lies where no folder
-    can be made. With ``force`` too, only what is a log is replaced.
+    Raises InputError where the name is an input (or another output) or holds one, is taken (without ``force``), or
+    lies where no folder can be made. With ``force`` too, only logs and folders of frames are replaced.
     """
     try:
         full, partial = path.resolve(), _partial(path)
         for source in (name.resolve() for name in inputs):
             if source.is_relative_to(full) or source.is_relative_to(partial.resolve()):
-                raise InputError(f"{path}: is the input or holds it; name another folder")
+                raise InputError(f"{path}: is or holds {source}, which the run needs; name another folder")
         for name in (path, partial):
             _check_free(name, force=force)
         there = next(parent for parent in full.parents if parent.exists())
@@ -104,9 +106,10 @@ def _check_free(path: Path, *, force: bool) -> None:
         return
     if not force:
         raise InputError(f"{path}: exists; give --force to replace it")
-    ours = path.name.endswith(".partial")
+    ours = path.name.endswith(".partial") or all(FRAME.fullmatch(name.name) for name in path.iterdir())
     if not ours and not any((path / name).is_file() for name in LOGS):
-        raise InputError(f"{path}: is a folder that holds no log, so it is not replaced; name another one")
+        told = "holds other things than a log or its frames"
+        raise InputError(f"{path}: is a folder that {told}, so it is not replaced; name another one")
 
 
 def _remove(path: Path) -> None:
