@@ -397,6 +397,27 @@ def test_a_process_that_cannot_be_started_fails_its_log_alone(tmp_path, monkeypa
     assert "no process can be started: Resource temporarily unavailable" in done.outcomes[0].error
 
 
+def test_a_worker_without_a_process_leaves_its_task_to_the_others(tmp_path, monkeypatch):
+    start, started = subprocess.Popen, []
+
+    def once(*args, **more):
+        if started:
+            raise OSError(11, "Resource temporarily unavailable")
+        started.append(start(*args, **more))
+        return started[0]
+
+    monkeypatch.setattr("vlmm_log.batches.local.subprocess.Popen", once)
+    with closing(run_local(tasks(tmp_path, *["fine"] * 8), fake_work.work, workers=3)) as ended:
+        assert [str(o.state) for o in ended] == ["done"] * 8
+    started.clear()
+    with closing(run_local(tasks(tmp_path, "fine", "die", "fine", "fine"), fake_work.work, workers=1)) as ended:
+        found = {o.name: o for o in ended}  # it was the last
+    assert [str(found[k].state) for k in "0123"] == ["done", "failed", "failed", "failed"]
+    assert {found[k].error for k in "23"} == {
+        "no process can be started: Resource temporarily unavailable; give fewer --workers"
+    }
+
+
 @needs_ray
 def test_ray_makes_the_same(finished, tmp_path):
     sources, done = finished

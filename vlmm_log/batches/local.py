@@ -8,9 +8,10 @@ import signal
 import subprocess
 import sys
 import threading
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 
 from vlmm_log.batches.tasks import Outcome, Running, State, Task, Work, failed
 from vlmm_log.batches.threads import ONE_THREAD
@@ -25,12 +26,10 @@ def run_local(tasks: Sequence[Task], work: Work, *, workers: int, retries: int =
 
     A task whose process dies is tried ``retries`` times more. Closing the iterator ends the workers at once.
     """
-    waiting: SimpleQueue[Task] = SimpleQueue()
     ended: Ended = SimpleQueue()
-    for task in tasks:
-        waiting.put(task)
     crew = [Worker(work) for _ in range(min(workers, len(tasks)))]
-    threads = [threading.Thread(target=_attend, args=(w, waiting, ended, retries), daemon=True) for w in crew]
+    left = _Left(tasks, len(crew))
+    threads = [threading.Thread(target=_attend, args=(w, left, ended, retries), daemon=True) for w in crew]
     for thread in threads:
         thread.start()
     try:
@@ -46,21 +45,52 @@ def run_local(tasks: Sequence[Task], work: Work, *, workers: int, retries: int =
             thread.join()
 
 
-def _attend(worker: Worker, waiting: SimpleQueue[Task], ended: Ended, retries: int) -> None:
+class _Left:
+    """Tasks that nobody has taken yet, and how many workers take them."""
+
+    def __init__(self, tasks: Sequence[Task], workers: int) -> None:
+        self._tasks, self._workers = deque(tasks), workers
+        self._changing = threading.Lock()
+
+    def take(self) -> Task | None:
+        """The next one; None where there are no more, and the worker goes."""
+        with self._changing:
+            if self._tasks:
+                return self._tasks.popleft()
+            self._workers -= 1
+            return None
+
+    def give_back(self, task: Task) -> bool:
+        """Whether others take tasks; then one of them does this one, and the worker goes."""
+        with self._changing:
+            if self._workers == 1:
+                return False
+            self._tasks.appendleft(task)
+            self._workers -= 1
+            return True
+
+
+def _attend(worker: Worker, left: _Left, ended: Ended, retries: int) -> None:
     """Give one worker task after task."""
     try:
-        while not worker.stopped:
-            task = waiting.get_nowait()
-            outcome = worker.do(task)
-            for _ in range(retries):
-                if isinstance(outcome, Outcome):
-                    break
+        while not worker.stopped and (task := left.take()) is not None:
+            try:
                 outcome = worker.do(task)
+                for _ in range(retries):
+                    if isinstance(outcome, Outcome):
+                        break
+                    outcome = worker.do(task)
+            except _NotStartedError as e:
+                if left.give_back(task):
+                    return
+                outcome = str(e)
             ended.put(failed(task, outcome) if isinstance(outcome, str) else outcome)
-    except Empty:
-        pass
     except BaseException as e:  # noqa: BLE001  told to who waits for outcomes
         ended.put(e)
+
+
+class _NotStartedError(Exception):
+    """The system gives no more processes."""
 
 
 class Worker:
@@ -74,11 +104,8 @@ class Worker:
         self._changing = threading.Lock()
 
     def do(self, task: Task) -> Outcome | str:
-        """What came of a task, or how the process died."""
-        try:
-            process = self._running()
-        except OSError as e:
-            return f"no process can be started: {e.strerror or e}; give fewer --workers"
+        """What came of a task, or how the process died. Raises _NotStartedError where there can be none."""
+        process = self._running()
         if process is None:
             return "interrupted"
         assert process.stdin
@@ -106,15 +133,21 @@ class Worker:
             if self.stopped:
                 return None
             if self._process is None or self._process.poll() is not None:
-                self._process = subprocess.Popen(
-                    self.command,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    encoding="utf-8",
-                    env=os.environ | ONE_THREAD,
-                    start_new_session=True,  # Ctrl-C is for the parent
-                )
+                self._process = self._started()
             return self._process
+
+    def _started(self) -> subprocess.Popen[str]:
+        try:
+            return subprocess.Popen(
+                self.command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                encoding="utf-8",
+                env=os.environ | ONE_THREAD,
+                start_new_session=True,  # Ctrl-C is for the parent
+            )
+        except OSError as e:
+            raise _NotStartedError(f"no process can be started: {e.strerror or e}; give fewer --workers") from e
 
 
 def _death(code: int) -> str:
