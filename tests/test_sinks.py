@@ -2,6 +2,8 @@
 
 import json
 import threading
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +14,14 @@ import vlmm_log
 import vlmm_log.sinks.mcap
 from vlmm_log.background import empty_background, grown, summed
 from vlmm_log.elements import OBSERVATION, Sightings, Tracked, WorldMap
-from vlmm_log.entries import LabelNames
+from vlmm_log.entries import Entry, LabelNames, LogLine
 from vlmm_log.outputs import replacing
 from vlmm_log.protocols import Moment
+from vlmm_log.sinks.content import Content
 from vlmm_log.sinks.map_entries import MapEntries
+from vlmm_log.sinks.recorder import Recorder, Recording
 from vlmm_log.sinks.summary import Summary
-from vlmm_log.types import InputError, Motion, Segments
+from vlmm_log.types import InputError, Motion, RunEnd, Segments
 
 VOXEL_M = 0.05
 
@@ -52,17 +56,25 @@ def shown(ids):
     return Tracked(sightings, np.zeros((n, 1), np.float32), np.array(ids, np.int64), np.ones(n, np.float32))
 
 
-def test_the_names_of_masks_are_told_again_only_as_far_as_they_are_seen():
+@pytest.mark.parametrize("n", [50, 2000])
+def test_the_last_names_of_masks_are_those_of_all_frames(n):
+    """The last ones hold for all times; told with each new one, they were the square of what was seen."""
     entries, told, known = MapEntries(), 0, {}
-    for k in range(2000):
-        ids = range(k + 1, k + 6)
+    for k in range(n):
+        ids = range(k + 1, k + 6) if k < n - 1 else [n + 5]
         for name, value in entries.of_tracked(shown(ids)):
             if isinstance(value, LabelNames):
                 assert name.endswith("/instances")
                 known = {number: text for number, text, _ in value.classes}
                 told += len(known)
-        assert {i: known.get(i) for i in ids} == {i: f"{i} cup" for i in ids}
-    assert told < 2000 * 5 * 30  # and not the square of what was seen
+        if k < 250:
+            assert {i: known.get(i) for i in ids} == {i: f"{i} cup" for i in ids}
+        assert len(known) > (k + 5) / 1.3
+    for _, value in entries.rest():
+        known = {number: text for number, text, _ in value.classes}
+    assert known == {0: "", **{i: f"{i} cup" for i in (*range(1, n + 4), n + 5)}}
+    assert list(entries.rest()) == []
+    assert told < 256**2 + 10 * n
 
 
 def motion(pixels, d_m):
@@ -119,6 +131,43 @@ def test_where_the_second_recording_cannot_begin_nothing_is_left_of_the_first(ro
     with pytest.raises(InputError, match=r"a\.mcap: cannot be written: No space"):
         vlmm_log.process(room, rrd=tmp_path / "a.rrd", mcap=tmp_path / "a.mcap")
     assert list(tmp_path.iterdir()) == []
+
+
+@dataclass
+class Refusing:
+    """A container on a disk that takes nothing."""
+
+    ended: list = field(default_factory=list)
+
+    def put(self, _):
+        raise OSError(28, "No space left on device")
+
+    def pair_begins(self):
+        pass
+
+    def finish(self, end):
+        self.ended.append(end)
+
+
+@pytest.mark.parametrize("pairs", [0, 3])
+def test_every_recording_is_let_go_whatever_is_refused(tmp_path, monkeypatch, pairs):
+    def refused(*_, **__):
+        raise OSError(30, "Read-only file system")
+
+    containers = [Refusing(), Refusing()]
+    recordings = [Recording(tmp_path / name, c) for name, c in zip("ab", containers, strict=True)]
+    with pytest.raises(InputError, match="No space"):
+        Recorder(recordings, dense=False)  # its first words
+    monkeypatch.setattr(Refusing, "put", lambda *_: None)
+    recorder = Recorder(recordings, dense=False)
+    monkeypatch.undo()
+    monkeypatch.setattr(Path, "unlink", refused)
+    monkeypatch.setattr(Content, "rest", lambda *_: [Entry("log", LogLine("rest", "INFO"), None, None)])
+    with pytest.raises(InputError, match=r"a\.partial: cannot be written") as told:
+        recorder.close(RunEnd(complete=True, input_hash="", frames=pairs, pairs=pairs))
+    assert told.value.__notes__ == [f"then: {told.value}".replace("a.partial", "b.partial")]
+    assert [[end.complete for end in c.ended] for c in containers] == [[False], [False]]
+    assert [r.written for r in recordings] == ([r.partial for r in recordings] if pairs else [None, None])
 
 
 def test_outputs_may_lie_in_folders_that_are_not_there_yet(tmp_path):

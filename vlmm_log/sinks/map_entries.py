@@ -45,7 +45,7 @@ SIGMAS = 2.0  # half axis of an ellipsoid in standard deviations of the element'
 HISTORY = 3  # observations from which on an element has a history: what is seen in passing would crowd the recording
 MORE = 1000  # voxels
 GROWTH = 1.25  # the background cloud is logged again once it has grown by this factor: its whole cost stays linear
-MOST_NAMES = 20  # times as many as a frame shows, that its masks' names hold
+FEW_NAMES = 256  # of masks, up to which all are told with each new one; then as the cloud is: by growth
 LARGEST_ID = 65535  # that a mask image holds; element ids beyond it come round again
 
 
@@ -56,6 +56,7 @@ class MapEntries:
         self._tracked: Tracked | None = None
         self._world: WorldMap | None = None
         self._names: dict[int, str] = {}  # of the masks' classes
+        self._untold = 0  # of them: new or changed
         self._states: dict[int, tuple[str, str]] = {}
         self._labels: dict[int, str] = {}  # that the lanes bear
         self._in_view: set[int] = set()  # elements of the last pair
@@ -89,6 +90,7 @@ class MapEntries:
                 yield from self._prior(result.elements[i])
         yield from _features(result, index)
         held = sum(len(cloud.cells) for cloud in result.clouds)
+        self._held = min(self._held, held)  # fewer where levels were merged
         if held > GROWTH * max(self._points, self._held) + MORE:  # to merge them costs: not at each pair
             self._held = held
             if len(result.background.cells) > GROWTH * self._points + MORE:
@@ -109,7 +111,9 @@ class MapEntries:
             yield f"{IMAGE}/{path}", Labels(lookup[self._tracked.sightings.segments.labels])
 
     def rest(self) -> Iterator[Named]:
-        """The whole background, if more of it is known than was shown."""
+        """The whole background and all names, if more of them is known than was shown."""
+        if self._untold:
+            yield self._label_names()
         if self._world is not None and len(self._world.background.cells) > self._points:
             yield self._cloud(self._world)
 
@@ -120,13 +124,17 @@ class MapEntries:
         named = zip(classes, result.ids, segments.names, strict=True)  # the nameless keep the viewer's own colours
         names = {0: ""} | {int(c): f"{i} {name}" for c, i, name in named if name}
         yield f"{IMAGE}/instances", Labels(np.take(lookup, segments.labels))
-        if names.items() <= self._names.items():
-            return
-        if len(self._names) > MOST_NAMES * len(names):  # all of a long run's, told with each new one, are too many
-            self._names = {}
+        self._untold += len(names.items() - self._names.items())
         self._names |= names
+        few = len(self._names) <= FEW_NAMES
+        if self._untold > (0 if few else (GROWTH - 1) * (len(self._names) - self._untold)):
+            yield self._label_names()
+
+    def _label_names(self) -> Named:
+        """All that are known: the last ones told are those of the whole recording."""
+        self._untold = 0
         told = tuple((c, name, id_color(c) if c else CLEAR) for c, name in sorted(self._names.items()))
-        yield f"{IMAGE}/instances", LabelNames(told)
+        return f"{IMAGE}/instances", LabelNames(told)
 
     def _history(self, element: Element) -> Iterator[Named]:
         """Fused class and present motion as two lanes of states; the observation's score and reliability."""

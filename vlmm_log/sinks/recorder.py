@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -120,22 +120,29 @@ def _partial(path: Path) -> Path:
 
 def _finish(recording: Recording, rest: Iterable[Entry], end: RunEnd) -> None:
     try:
-        for entry in rest:
-            recording.container.put(entry)
-        recording.container.finish(end)
+        _close(recording, rest, end)
+        if end.pairs and end.complete:
+            recording.partial.replace(recording.path)
+            recording.written = recording.path
     except OSError as e:
         raise _unwritable(recording, e) from e
-    finally:  # also of a full disk: what it took can be read
-        if end.pairs:
-            recording.written = recording.partial
-        else:
-            recording.partial.unlink(missing_ok=True)
-    if end.pairs and end.complete:
+
+
+def _close(recording: Recording, rest: Iterable[Entry], end: RunEnd) -> None:
+    """Let go of the container, also on a full disk: what that took can be read."""
+    held = replace(end, complete=False)
+    try:
+        for entry in rest:
+            recording.container.put(entry)
+        held = end
+    finally:
         try:
-            recording.partial.replace(recording.path)
-        except OSError as e:
-            raise _unwritable(recording, e) from e
-        recording.written = recording.path
+            recording.container.finish(held)
+        finally:
+            if end.pairs:
+                recording.written = recording.partial
+            else:
+                recording.partial.unlink(missing_ok=True)
 
 
 def _unwritable(recording: Recording, e: OSError) -> InputError:
