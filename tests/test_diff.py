@@ -13,6 +13,7 @@ import cv2
 import jsonschema
 import numpy as np
 import pytest
+import rerun as rr
 from command_line import command
 from rerun.chunk import Chunk
 from scipy.optimize import linear_sum_assignment
@@ -54,6 +55,18 @@ def recording(room, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "room.rrd"
     run(room, rrd=out, mcap=out.with_suffix(".mcap"), map=out.with_suffix(".json"))
     return out
+
+
+def test_what_others_logged_beside_a_run_is_compared(recording, tmp_path):
+    """On Rerun's own timelines, and merged by its own tool."""
+    rec = rr.RecordingStream("vlmm-log", recording_id=open_recording(recording).run.recording_id, send_properties=False)
+    rec.save(tmp_path / "own.rrd")
+    rec.log("robot/battery", rr.Scalars(0.5))
+    rec.disconnect()
+    names = [recording, tmp_path / "own.rrd", "-o", tmp_path / "merged.rrd"]
+    subprocess.run(["rerun", "rrd", "merge", *map(str, names)], check=True, capture_output=True)
+    found = vlmm_log.diff(recording, tmp_path / "merged.rrd")
+    assert [(e.entity, len(e.only_a), len(e.only_b)) for e in found.entities] == [("robot/battery", 0, 1)]
 
 
 def byte(place, change):

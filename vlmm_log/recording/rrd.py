@@ -184,7 +184,8 @@ def _rows(path: Path, chunk: Any, wanted: Container[int] | None = None) -> Itera
         frames, times = (
             batch.column(t).cast("int64").to_pylist() if t in names else [None] * len(ids) for t in TIMELINES
         )
-        components = [(name, batch.column(name)) for name in names if name not in (*TIMELINES, ROW_ID)]
+        others = {ROW_ID, *(f.name for f in batch.schema if (f.metadata or {}).get(b"rerun:kind") == b"index")}
+        components = [(name, batch.column(name)) for name in names if name not in others]
         if not all(pa.types.is_list(column.type) for _, column in components):
             raise ValueError(f"{chunk.entity_path} holds what is no component")
     except (ValueError, LookupError, RuntimeError, pa.ArrowException) as e:
