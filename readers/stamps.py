@@ -9,6 +9,7 @@ from decimal import Decimal
 LATEST_NS = 2**62  # a stamp and a limit add up within 64 bits
 SORTED_IN = "stamp out of order; the image was sorted in"  # told of images that are used
 SET_BACK = "clock of the stamps was set back here"
+TOO_LATE = "image comes too late"
 FOREVER_NS = 10**17  # three years: what is asked for so long is asked for to the end
 
 

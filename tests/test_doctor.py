@@ -20,7 +20,7 @@ from vlmm_log import se3
 from vlmm_log.checks.camera import plausible, scaled
 from vlmm_log.checks.depth_scale import KINECT_STEP, kinect_units, units_by_steps
 from vlmm_log.checks.edges import FLIPS, HALF, align
-from vlmm_log.checks.lists import nearest_s
+from vlmm_log.checks.lists import _unusable, nearest_s
 from vlmm_log.checks.motion_pairs import carried
 from vlmm_log.checks.probe import PLACES, Probe, places
 from vlmm_log.checks.registration import peak
@@ -29,6 +29,7 @@ from vlmm_log.checks.rigid import error_px, fit
 from vlmm_log.checks.timeline import Timeline
 from vlmm_log.diagnosis import doctor
 from vlmm_log.readers.intrinsics import PRESETS
+from vlmm_log.readers.stamps import SET_BACK, SORTED_IN, TOO_LATE
 from vlmm_log.settings import Settings
 from vlmm_log.types import Frame, InputError
 
@@ -276,6 +277,21 @@ def test_images_of_another_size_than_their_camera_are_told(tum_folder):
     camera = "fx 60\nfy 60\ncx 31.5\ncy 23.5\nwidth 320\nheight 240\n"
     findings = {f.check: f.message for f in doctor(tum_folder(camera=camera)).findings}
     assert "64x48" in findings["frames"] and "320x240" in findings["frames"]
+
+
+def test_images_in_another_order_than_their_stamps_are_told_as_what_they_are():
+    left_out = {SORTED_IN: 3, SET_BACK: 1, f"{TOO_LATE}: by over 2 s": 2, "image is cut off": 1}
+    stamps = np.arange(10)
+    timeline = SimpleNamespace(left_out={}, rgb_ns=stamps, depth_ns=stamps)
+    samples = SimpleNamespace(left_out=left_out, seen=range(8))
+    told = list(_unusable(SimpleNamespace(timeline=timeline, samples=samples, log=SimpleNamespace(poses=None))))
+    found = {t.message.split(": ", 1)[1]: getattr(t, "remedy", None) for t in told}
+    assert found == {
+        SORTED_IN: None,
+        SET_BACK: None,
+        f"{TOO_LATE}: by over 2 s": "write the bag again with its images in the order of their stamps",
+        "image is cut off": "mend or replace these images, or give the camera that they are from with --intrinsics",
+    }
 
 
 def test_the_real_slice_is_in_order_and_late_poses_are_told(tmp_path):

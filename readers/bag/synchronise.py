@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 
-from vlmm_log.readers.stamps import SET_BACK, SORTED_IN
+from vlmm_log.readers.stamps import SET_BACK, SORTED_IN, TOO_LATE
 from vlmm_log.readers.stored import Kind, Shot
 from vlmm_log.types import Skipped
 
@@ -141,8 +141,7 @@ def synchronised(shots: Iterable[Shot | Skipped], tolerance_ns: int) -> Generato
 def _drop(late: list[Shot], waiting: _Waiting) -> None:
     """What was around them has been given out already: frames go by time."""
     for shot in late:
-        reason = f"image comes more than {LATENESS_NS / 1e9:g} s late"
-        waiting.tell(Skipped(shot.stamp_ns, shot.what, reason, _index(shot)))
+        waiting.tell(Skipped(shot.stamp_ns, shot.what, f"{TOO_LATE}: by over {LATENESS_NS / 1e9:g} s", _index(shot)))
     late.clear()
 
 

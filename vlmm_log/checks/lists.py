@@ -11,7 +11,7 @@ from vlmm_log.checks.case import Case
 from vlmm_log.checks.report import Evidence, Finding, Told
 from vlmm_log.readers.images import ImageError
 from vlmm_log.readers.poses import ELSEWHERE
-from vlmm_log.readers.stamps import SET_BACK, SORTED_IN
+from vlmm_log.readers.stamps import SET_BACK, SORTED_IN, TOO_LATE
 from vlmm_log.readers.stored import Shot
 from vlmm_log.types import Int64
 
@@ -110,11 +110,14 @@ def _unusable(case: Case) -> Told:
     for reason, count in sorted(case.samples.left_out.items()):
         if reason in rows or "within" in reason or not case.samples.seen:  # pairs, poses, no frame: told elsewhere
             continue
-        if reason in (SORTED_IN, SET_BACK):  # the images are used
+        figures = {"share": count / (count + len(case.samples.seen))}
+        if reason in (SORTED_IN, SET_BACK):
+            yield Evidence("order of images", f"of those looked at {count}, which are used: {reason}", figures)
             continue
-        share = count / (count + len(case.samples.seen))
         remedy = "mend or replace these images, or give the camera that they are from with --intrinsics"
-        yield Finding("unusable images", f"of those looked at {count} fail: {reason}", remedy, {"share": share})
+        if reason.startswith(TOO_LATE):
+            remedy = "write the bag again with its images in the order of their stamps"
+        yield Finding("unusable images", f"of those looked at {count} fail: {reason}", remedy, figures)
 
 
 def _repetitions(case: Case) -> Told:
