@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import closing
 from importlib.util import find_spec
@@ -398,13 +399,14 @@ def test_a_process_that_cannot_be_started_fails_its_log_alone(tmp_path, monkeypa
 
 
 def test_a_worker_without_a_process_leaves_its_task_to_the_others(tmp_path, monkeypatch):
-    start, started = subprocess.Popen, []
+    start, started, starting = subprocess.Popen, [], threading.Lock()
 
     def once(*args, **more):
-        if started:
-            raise OSError(11, "Resource temporarily unavailable")
-        started.append(start(*args, **more))
-        return started[0]
+        with starting:
+            if started:
+                raise OSError(11, "Resource temporarily unavailable")
+            started.append(start(*args, **more))
+            return started[0]
 
     monkeypatch.setattr("vlmm_log.batches.local.subprocess.Popen", once)
     with closing(run_local(tasks(tmp_path, *["fine"] * 8), fake_work.work, workers=3)) as ended:
