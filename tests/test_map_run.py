@@ -174,6 +174,8 @@ def test_masks_of_the_answers_are_written(run, room, tmp_path):
         with pytest.raises(InputError, match=told):
             find(run[1], QUERIES[0], masks=tmp_path / "out" / name, rrd=tmp_path / "out/hits.rrd", force=True)
     (tmp_path / "masks/000099.png").write_bytes(b"of an earlier run")
+    with pytest.raises(InputError, match="holds other things"):
+        vlmm_log.convert(room, tmp_path / "masks", force=True)
     find(run[1], QUERIES[0], masks=tmp_path / "masks", force=True)
     assert sorted(path.name for path in (tmp_path / "masks").iterdir()) == [f"{k:06d}.png" for k in range(6)]
 

@@ -17,7 +17,7 @@ from vlmm_log.queries import Answer, Query, View
 from vlmm_log.recording import is_recording
 from vlmm_log.settings import MapSettings, QuerySettings, Settings
 from vlmm_log.types import Float64, InputError
-from vlmm_log.writers.staging import claim_folder, replacing_folder
+from vlmm_log.writers.staging import claim_folder, is_of_frames, replacing_folder
 
 if TYPE_CHECKING:
     from vlmm_log.maps import SavedMap
@@ -171,7 +171,7 @@ def find(
     files = [path for path in (rrd, *_grid_files(grid)) if path is not None]
     claim(files, force=force, inputs=[source])
     if masks is not None:
-        claim_folder(masks, [source, *files], force=force)
+        claim_folder(masks, [source, *files], force=force, replaceable=is_of_frames)
     saved = load_map(source)
     s = _settings(saved, sets)
     found, told = _ask(saved, text, s)

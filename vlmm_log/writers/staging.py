@@ -6,32 +6,44 @@ import ctypes
 import os
 import re
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from vlmm_log.outputs import takes_files
 from vlmm_log.types import InputError
 
-LOGS = ("metadata.yaml", "rgb.txt")  # what the folders hold that may be replaced; others are of frames alone
+LOGS = ("metadata.yaml", "rgb.txt")  # of which a log's folder holds one
 FRAME = re.compile(r"[0-9]{6,}\.png")
 REPLACED = "replaced"
 HERE, EXCHANGE = -100, 2  # of renameat2
 
 
-def claim_folder(path: Path, inputs: Iterable[Path], *, force: bool) -> None:
+def is_log(folder: Path) -> bool:
+    """Whether a folder is a log, as ``convert`` and ``simulate`` write them."""
+    return any((folder / name).is_file() for name in LOGS)
+
+
+def is_of_frames(folder: Path) -> bool:
+    """Whether a folder holds an image a frame, and nothing else."""
+    return all(FRAME.fullmatch(path.name) for path in folder.iterdir())
+
+
+def claim_folder(
+    path: Path, inputs: Iterable[Path], *, force: bool, replaceable: Callable[[Path], bool] = is_log
+) -> None:
     """Refuse before a long run what could not be written after it.
 
     Raises InputError where the name is an input (or another output) or holds one, is taken (without ``force``), or
-    lies where no folder can be made. With ``force`` too, only logs and folders of frames are replaced.
+    lies where no folder can be made. With ``force`` too, only what is ``replaceable`` is replaced.
     """
     try:
         full, partial = path.resolve(), _partial(path)
         for source in (name.resolve() for name in inputs):
             if source.is_relative_to(full) or source.is_relative_to(partial.resolve()):
                 raise InputError(f"{path}: is or holds {source}, which the run needs; name another folder")
-        for name in (path, partial):
-            _check_free(name, force=force)
+        _check_free(path, replaceable if force else None)
+        _check_free(partial, (lambda _: True) if force else None)
         there = next(parent for parent in full.parents if parent.exists())
     except (OSError, ValueError) as e:
         raise InputError(f"{path!s}: cannot be written: {e}; name another folder") from e
@@ -99,17 +111,15 @@ def _partial(path: Path) -> Path:
     return path.parent / (full.name + ".partial") if path.name else full.with_name(full.name + ".partial")
 
 
-def _check_free(path: Path, *, force: bool) -> None:
+def _check_free(path: Path, replaceable: Callable[[Path], bool] | None) -> None:
     if path.is_file():
         raise InputError(f"{path}: is a file; name a folder")
     if not path.is_dir() or not any(path.iterdir()):
         return
-    if not force:
+    if replaceable is None:
         raise InputError(f"{path}: exists; give --force to replace it")
-    ours = path.name.endswith(".partial") or all(FRAME.fullmatch(name.name) for name in path.iterdir())
-    if not ours and not any((path / name).is_file() for name in LOGS):
-        told = "holds other things than a log or its frames"
-        raise InputError(f"{path}: is a folder that {told}, so it is not replaced; name another one")
+    if not replaceable(path):
+        raise InputError(f"{path}: is a folder that holds other things, so it is not replaced; name another one")
 
 
 def _remove(path: Path) -> None:
