@@ -8,7 +8,7 @@ import pytest
 
 import bags
 from bags import KINDS, ORIGIN_NS, STEP_NS, Messages
-from vlmm_log import se3
+from vlmm_log import convert, se3
 from vlmm_log.readers import open_log
 from vlmm_log.readers.compressed_depth import encode
 from vlmm_log.settings import Settings
@@ -294,6 +294,22 @@ def test_a_camera_on_a_tripod_stands_where_its_still_transforms_say(tmp_path, so
     assert not left_out
     for f in frames:
         np.testing.assert_allclose(f.T_world_cam, matrix(stand) @ matrix(lens), atol=1e-12)
+    s = Settings.load(sets=[f"read.topics=pose={source}"] if source else [])
+    assert any(note.startswith("a still pose from tf, world -> tripod") for note in open_log(path, s.read).notes)
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "log.bag", "log"])
+def test_the_pose_of_a_camera_on_a_tripod_is_converted(tmp_path, name):
+    m = Messages("ros2")
+    still = tf(m, still=(("world", OPTICAL, at(STAMPS[2])),))
+    out = tmp_path / "out" / name
+    convert(
+        made(tmp_path, "ros2", images(m), [(topic, t, data) for topic, t, data in still if topic == "/tf_static"]), out
+    )
+    frames, left_out = read(out)
+    assert not left_out
+    for f in frames:
+        np.testing.assert_allclose(f.T_world_cam, matrix(at(STAMPS[2])), atol=1e-9)
 
 
 def test_ground_truth_poses_come_before_transforms(tmp_path):

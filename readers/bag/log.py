@@ -103,7 +103,10 @@ class BagLog:
         told = [f"{self.container.kind}: colour {c.rgb.topic.name}, depth {c.depth.topic.name}"]
         told += [*self._assembly().notes(), *self._cameras.notes, *self._told]
         limited = " in the chosen window" if limit_ns(self.s.stop_s) < FOREVER_NS or self.s.start_s else ""
-        found = "no poses" if self.poses is None else f"{self.poses.stamps_ns.size} poses from {self.poses.source}"
+        found = "no poses"
+        if self.poses is not None:
+            many = f"{self.poses.stamps_ns.size} poses" if self.poses.moving else "a still pose"
+            found = f"{many} from {self.poses.source}"
         told.append(found + limited)
         return [*told, f"the first frame at {self.origin_ns} ns"]
 

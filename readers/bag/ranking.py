@@ -102,9 +102,10 @@ def ranked_poses(topics: Iterable[Topic]) -> tuple[Candidate, ...]:
     """Sources of poses, best first; goals and set-points are none."""
     found = []
     order = {"nav_msgs/msg/Path": 0.2, "nav_msgs/msg/Odometry": 0.5}
-    trees = [t for t in topics if t.type in TRANSFORMS and t.name.rsplit("/", 1)[-1] != "tf_static"]
+    trees = [t.name.rsplit("/", 1)[-1] for t in topics if t.type in TRANSFORMS]
     if trees:
-        found.append(Candidate(TF, 1.0, "transforms, if they join a world and the camera"))
+        still = set(trees) == {"tf_static"}  # of a camera on a tripod, but of a robot too
+        found.append(Candidate(TF, 0.1 if still else 1.0, "transforms, if they join a world and the camera"))
     for topic in topics:
         if topic.type in POSES and topic.count != 0:
             truth = any(word in topic.name.lower() for word in TRUTH)
