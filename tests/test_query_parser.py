@@ -236,7 +236,15 @@ MEANINGS = [
     ("is the cup still there", both(CUP, Seen(-1.0, None))),
     ("was the cup still there at 5 s", both(CUP, Seen(5, 5))),
     ("what was still in view before 5 s", Seen(0, 5)),
-    ("things that remain rolling", Moved()),
+    ("show me where it was put", Moved()),
+    (
+        "chairs that could have fallen or moved and fell",
+        AllOf((CHAIR, AnyOf((Movable(), AllOf((Movable(), Moved())))))),
+    ),
+    (
+        "before 2 s, chairs that did not move or cups",
+        AnyOf((AllOf((CHAIR, Not(Moved(0, 2)), Seen(0, 2))), AllOf((CUP, Seen(0, 2))))),
+    ),
     ("chairs that stayed where they were put", both(CHAIR, STAYS)),
     ("chairs that kept put", both(CHAIR, STAYS)),
     ("things able to be moved or carried", Movable()),

@@ -170,24 +170,25 @@ def walk(root: Node) -> Iterator[tuple[Node, int]]:
 def within(node: Node, spans: Sequence[Span]) -> Node:
     """The tree with its motions bound to any of the time spans; where it speaks of none, seen in any of them.
 
-    What did not move in them must have been seen in each.
+    What did not move in them must have been seen in each. Of alternatives each is bound.
     """
     bound = _bound(node, spans)
     return bound if bound != node else both(node, either([Seen(*span) for span in spans]))
 
 
-def _bound(node: Node, spans: Sequence[Span]) -> Node:
+def _bound(node: Node, spans: Sequence[Span], *, denied: bool = False) -> Node:
     match node:
         case Moved(None, None):
             return either([Moved(*span) for span in spans])
         case Not(inner):
-            bound = _bound(inner, spans)
+            bound = _bound(inner, spans, denied=True)
             return node if bound == inner else both(Not(bound), *(Seen(*span) for span in spans))
         case AllOf(nodes):
-            parts = tuple(_bound(n, spans) for n in nodes)
+            parts = tuple(_bound(n, spans, denied=denied) for n in nodes)
             return node if parts == nodes else both(*parts)
         case AnyOf(nodes):
-            return AnyOf(tuple(_bound(n, spans) for n in nodes))
+            parts = tuple(_bound(n, spans, denied=denied) for n in nodes)
+            return AnyOf(parts if denied or parts == nodes else tuple(within(n, spans) for n in nodes))
         case _:
             return node
 

@@ -22,7 +22,7 @@ from vlmm_log.pipeline.language.nouns import (
     superlative,
 )
 from vlmm_log.pipeline.language.places import place, ranked_to
-from vlmm_log.pipeline.language.words import looks_like_participle
+from vlmm_log.pipeline.language.words import lexicon, looks_like_participle
 from vlmm_log.queries import Order
 from vlmm_log.query_tree import (
     AllOf,
@@ -145,8 +145,9 @@ def _motion(c: Cursor, asked: Asked, head: Lead) -> Node | None:
     generic = form in ("base", "third") and bool(head.agent) and not head.do  # "things people move"
     if head.agent in ("personal", "noun") and not (head.can or generic):
         return None  # "what did I move"
+    # "could have opened or moved"; but "can move and moved", "could have fallen and fell": it did
+    carried = head.be or form != "past" or (head.have and c.peek().text not in lexicon().preterites)
     c.take()
-    carried = head.be or head.have or form != "past"  # "could have opened or moved"; but "can move and moved": it did
     could = head.can and (head.finite or carried)
     node: Node = Movable() if could or generic else Moved()
     while True:
@@ -213,9 +214,6 @@ def _stay(c: Cursor) -> Node | None:
     c.take()
     c.accept("still")
     c.skip("particle")
-    if c.value("verb") == "ing":
-        c.take()
-        return Moved()  # "remains rolling"
     if c.has("verb"):
         c.take("unparsed")  # "stays open": how it is, a map does not hold
     return AllOf((Class("static"), Not(Moved())))  # it stays: what moved for a while did not

@@ -54,7 +54,8 @@ class Lexicon:
     longest: int
     singulars: Mapping[str, str]
     invariant: frozenset[str]
-    participles: frozenset[str]
+    participles: frozenset[str]  # of names, such as "building"
+    preterites: frozenset[str]  # that are no participles: "fell"
     est: frozenset[str]
 
 
@@ -91,6 +92,7 @@ def lexicon() -> Lexicon:
         table["plurals"],
         frozenset(table["invariant"]["words"]),
         frozenset(table["participles"]["words"]),
+        frozenset(past[0] for past in table["verbs"]["irregular"].values() if past[0] not in past[1:] != []),
         frozenset(table["est"]["words"]),
     )
 
