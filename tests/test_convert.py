@@ -579,7 +579,7 @@ def test_a_folder_that_is_no_log_is_never_replaced(tmp_path):
         ("a.mcap", {"images": "jpeg"}, "raw, compressed"),
         ("log/rgb.txt/a.mcap", {}, "cannot be written"),
         ("log/rgb.txt/a", {}, "cannot be written"),
-        ("log/rgb.txt", {"to": "tum"}, "is a file"),
+        ("log/rgb.txt", {"to": "tum"}, "is no folder"),
     ],
 )
 def test_names_that_cannot_be(tmp_path, name, options, said):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -166,18 +167,28 @@ def test_masks_of_the_answers_are_written(run, room, tmp_path):
     assert not (tmp_path / "hits.rrd").exists()
     (tmp_path / "out").mkdir()
     (tmp_path / "out/file").write_text("")
+    os.mkfifo(tmp_path / "out/pipe")
     for name, told in (
-        ("file", "file: is a file; name a folder"),
+        ("file", "file: is no folder; name a folder"),
+        ("pipe", "pipe: is no folder; name a folder"),
         ("x" * 300, "cannot be written"),
         (".", "hits.rrd, which the run needs"),  # it is written there
     ):
         with pytest.raises(InputError, match=told):
             find(run[1], QUERIES[0], masks=tmp_path / "out" / name, rrd=tmp_path / "out/hits.rrd", force=True)
+    about = json.loads((tmp_path / "masks/query.json").read_text())
+    assert (about["query"], about["ids"]) == (QUERIES[0], [3])
+    assert about["map"]["end"]["input_hash"]
     (tmp_path / "masks/000099.png").write_bytes(b"of an earlier run")
     with pytest.raises(InputError, match="holds other things"):
         vlmm_log.convert(room, tmp_path / "masks", force=True)
     find(run[1], QUERIES[0], masks=tmp_path / "masks", force=True)
-    assert sorted(path.name for path in (tmp_path / "masks").iterdir()) == [f"{k:06d}.png" for k in range(6)]
+    written = {path.name for path in (tmp_path / "masks").iterdir()}
+    assert written == {"query.json", *(f"{k:06d}.png" for k in range(6))}
+    (tmp_path / "masks/query.json").unlink()
+    with pytest.raises(InputError, match="holds other things"):  # a user's own
+        find(run[1], QUERIES[0], masks=tmp_path / "masks", force=True)
+    assert (tmp_path / "masks/000000.png").exists()
 
 
 def test_elements_histories_are_states(run):

@@ -17,7 +17,7 @@ from vlmm_log.queries import Answer, Query, View
 from vlmm_log.recording import is_recording
 from vlmm_log.settings import MapSettings, QuerySettings, Settings
 from vlmm_log.types import Float64, InputError
-from vlmm_log.writers.staging import claim_folder, is_of_frames, replacing_folder
+from vlmm_log.writers.staging import claim_folder, replacing_folder
 
 if TYPE_CHECKING:
     from vlmm_log.maps import SavedMap
@@ -171,7 +171,9 @@ def find(
     files = [path for path in (rrd, *_grid_files(grid)) if path is not None]
     claim(files, force=force, inputs=[source])
     if masks is not None:
-        claim_folder(masks, [source, *files], force=force, replaceable=is_of_frames)
+        from vlmm_log.sinks.hits import holds_masks
+
+        claim_folder(masks, [source, *files], force=force, replaceable=holds_masks)
     saved = load_map(source)
     s = _settings(saved, sets)
     found, told = _ask(saved, text, s)
@@ -194,11 +196,13 @@ def find(
             write_hits(partial, saved.world.columns, found, saved.run.recording_id, frames)
         outputs.append(rrd)
     if masks is not None:
+        from vlmm_log.maps.header import header
         from vlmm_log.recording.map import read_masks
         from vlmm_log.sinks.hits import write_masks
 
+        about = {"query": text, "ids": found.ids.tolist(), "settings": s.to_toml(), "map": header(saved)}
         with replacing_folder(masks) as staged:
-            write_masks(staged, found, read_masks(source))
+            write_masks(staged, found, read_masks(source), about)
         outputs.append(masks)
     return Found(found, saved.world.columns, tuple(outputs), told)
 

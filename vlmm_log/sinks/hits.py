@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,8 @@ from vlmm_log.sinks.pair_entries import IMAGE
 from vlmm_log.sinks.rerun_values import RerunValues
 from vlmm_log.sinks.rrd_file import RrdFile
 from vlmm_log.types import UInt8, UInt16
+
+ABOUT = "query.json"  # beside the masks: what they are of
 
 
 def write_hits(
@@ -40,16 +43,24 @@ def write_hits(
         file.finish()
 
 
-def write_masks(folder: Path, answer: Answer, masks: Iterable[tuple[int, int, UInt16]]) -> None:
-    """A folder with a PNG for each frame, named by its index: 255 where the answers are, else 0.
+def write_masks(
+    folder: Path, answer: Answer, masks: Iterable[tuple[int, int, UInt16]], about: Mapping[str, object]
+) -> None:
+    """A folder with a PNG for each frame, named by its index: 255 where the answers are, else 0; and ``about`` them.
 
     Raises OSError where the disk refuses.
     """
     wanted = 255 * _wanted(answer)
     folder.mkdir()
+    (folder / ABOUT).write_text(json.dumps(about, indent=2) + "\n", "utf-8")
     for index, _, labels in masks:
         _, png = cv2.imencode(".png", wanted[labels])
         (folder / f"{index:06d}.png").write_bytes(png.tobytes())
+
+
+def holds_masks(folder: Path) -> bool:
+    """Whether ``write_masks`` wrote it."""
+    return (folder / ABOUT).is_file()
 
 
 def _wanted(answer: Answer) -> UInt8:

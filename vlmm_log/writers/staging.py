@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -14,7 +13,6 @@ from vlmm_log.outputs import takes_files
 from vlmm_log.types import InputError
 
 LOGS = ("metadata.yaml", "rgb.txt")  # of which a log's folder holds one
-FRAME = re.compile(r"[0-9]{6,}\.png")
 REPLACED = "replaced"
 HERE, EXCHANGE = -100, 2  # of renameat2
 
@@ -22,11 +20,6 @@ HERE, EXCHANGE = -100, 2  # of renameat2
 def is_log(folder: Path) -> bool:
     """Whether a folder is a log, as ``convert`` and ``simulate`` write them."""
     return any((folder / name).is_file() for name in LOGS)
-
-
-def is_of_frames(folder: Path) -> bool:
-    """Whether a folder holds an image a frame, and nothing else."""
-    return all(FRAME.fullmatch(path.name) for path in folder.iterdir())
 
 
 def claim_folder(
@@ -112,8 +105,8 @@ def _partial(path: Path) -> Path:
 
 
 def _check_free(path: Path, replaceable: Callable[[Path], bool] | None) -> None:
-    if path.is_file():
-        raise InputError(f"{path}: is a file; name a folder")
+    if path.exists() and not path.is_dir():  # a device's name could be replaced too
+        raise InputError(f"{path}: is no folder; name a folder")
     if not path.is_dir() or not any(path.iterdir()):
         return
     if replaceable is None:
