@@ -69,7 +69,7 @@ def test_the_last_names_of_masks_are_those_of_all_frames(n):
                 told += len(known)
         if k < 250:
             assert {i: known.get(i) for i in ids} == {i: f"{i} cup" for i in ids}
-        assert len(known) > (k + 5) / 1.3
+        assert known.keys() >= set(range(1, k - 65))
     for _, value in entries.rest():
         known = {number: text for number, text, _ in value.classes}
     assert known == {0: "", **{i: f"{i} cup" for i in (*range(1, n + 4), n + 5)}}

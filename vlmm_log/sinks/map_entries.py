@@ -45,7 +45,8 @@ SIGMAS = 2.0  # half axis of an ellipsoid in standard deviations of the element'
 HISTORY = 3  # observations from which on an element has a history: what is seen in passing would crowd the recording
 MORE = 1000  # voxels
 GROWTH = 1.25  # the background cloud is logged again once it has grown by this factor: its whole cost stays linear
-FEW_NAMES = 256  # of masks, up to which all are told with each new one; then as the cloud is: by growth
+FEW_NAMES = 256  # of masks, up to which all are told with each new one; then as the cloud is, by growth, or
+WAITING = 64  # frames after the first that has an untold one
 LARGEST_ID = 65535  # that a mask image holds; element ids beyond it come round again
 
 
@@ -57,6 +58,7 @@ class MapEntries:
         self._world: WorldMap | None = None
         self._names: dict[int, str] = {}  # of the masks' classes
         self._untold = 0  # of them: new or changed
+        self._waiting = 0  # frames since then
         self._states: dict[int, tuple[str, str]] = {}
         self._labels: dict[int, str] = {}  # that the lanes bear
         self._in_view: set[int] = set()  # elements of the last pair
@@ -126,13 +128,14 @@ class MapEntries:
         yield f"{IMAGE}/instances", Labels(np.take(lookup, segments.labels))
         self._untold += len(names.items() - self._names.items())
         self._names |= names
-        few = len(self._names) <= FEW_NAMES
-        if self._untold > (0 if few else (GROWTH - 1) * (len(self._names) - self._untold)):
+        self._waiting += self._untold > 0
+        grown = len(self._names) > GROWTH * (len(self._names) - self._untold)
+        if self._untold and (len(self._names) <= FEW_NAMES or grown or self._waiting > WAITING):
             yield self._label_names()
 
     def _label_names(self) -> Named:
         """All that are known: the last ones told are those of the whole recording."""
-        self._untold = 0
+        self._untold = self._waiting = 0
         told = tuple((c, name, id_color(c) if c else CLEAR) for c, name in sorted(self._names.items()))
         return f"{IMAGE}/instances", LabelNames(told)
 
