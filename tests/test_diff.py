@@ -21,6 +21,7 @@ from scipy.optimize import linear_sum_assignment
 import render_room
 import vlmm_log
 from planted import cell, later, rewritten, without
+from vlmm_log import viewing
 from vlmm_log.comparison.maps import NEAR_M, OTHER_LABEL, matched
 from vlmm_log.comparison.measures import figures
 from vlmm_log.comparison.report import report
@@ -64,7 +65,7 @@ def test_what_others_logged_beside_a_run_is_compared(recording, tmp_path):
     rec.log("robot/battery", rr.Scalars(0.5))
     rec.disconnect()
     names = [recording, tmp_path / "own.rrd", "-o", tmp_path / "merged.rrd"]
-    subprocess.run(["rerun", "rrd", "merge", *map(str, names)], check=True, capture_output=True)
+    subprocess.run([str(viewing._viewer()), "rrd", "merge", *map(str, names)], check=True, capture_output=True)
     found = vlmm_log.diff(recording, tmp_path / "merged.rrd")
     assert [(e.entity, len(e.only_a), len(e.only_b)) for e in found.entities] == [("robot/battery", 0, 1)]
 
