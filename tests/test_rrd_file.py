@@ -71,6 +71,8 @@ def test_a_stream_that_ends_without_its_footer_is_told(tmp_path):
     rec = stream()
     file = RrdFile(rec, tmp_path / "a.rrd")
     rec.save(tmp_path / "other.rrd")  # goes elsewhere
+    for thread in writers():
+        thread.join(60)  # it ends the file, whole
     (tmp_path / "a.rrd").write_bytes(b"not whole" * 9)
     with pytest.raises(OSError, match="its footer is missing"):
         file.finish()
