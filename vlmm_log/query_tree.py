@@ -173,7 +173,11 @@ def within(node: Node, spans: Sequence[Span]) -> Node:
     What did not move in them must have been seen in each. Of alternatives each is bound.
     """
     bound = _bound(node, spans)
-    return bound if bound != node else both(node, either([Seen(*span) for span in spans]))
+    return bound if bound != node else _seen(node, spans)
+
+
+def _seen(node: Node, spans: Sequence[Span]) -> Node:
+    return both(node, either([Seen(*span) for span in spans]))
 
 
 def _bound(node: Node, spans: Sequence[Span], *, denied: bool = False) -> Node:
@@ -188,7 +192,9 @@ def _bound(node: Node, spans: Sequence[Span], *, denied: bool = False) -> Node:
             return node if parts == nodes else both(*parts)
         case AnyOf(nodes):
             parts = tuple(_bound(n, spans, denied=denied) for n in nodes)
-            return AnyOf(parts if denied or parts == nodes else tuple(within(n, spans) for n in nodes))
+            if denied or parts == nodes:
+                return AnyOf(parts)
+            return AnyOf(tuple(_seen(n, spans) if p == n else p for n, p in zip(nodes, parts, strict=True)))
         case _:
             return node
 
