@@ -237,6 +237,8 @@ MEANINGS = [
     ("was the cup still there at 5 s", both(CUP, Seen(5, 5))),
     ("what was still in view before 5 s", Seen(0, 5)),
     ("show me where it was put", Moved()),
+    ("what did not move or open before 3 s", AllOf((Not(Moved(0, 3)), Seen(0, 3)))),
+    ("chairs that neither moved nor fell over after 3 s", AllOf((CHAIR, Not(Moved(3)), Seen(3)))),
     (
         "chairs that could have fallen or moved and fell",
         AllOf((CHAIR, AnyOf((Movable(), AllOf((Movable(), Moved())))))),

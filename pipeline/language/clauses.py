@@ -74,10 +74,11 @@ def _groups(c: Cursor, asked: Asked, carried: Lead) -> list[list[Node]]:
             c.at = start
             return groups
         node, own = following
-        if isinstance(node, Moved) and not own.finite and groups[-1][-1] == Moved():
-            groups[-1][-1] = node  # "walked or sat down after 3 s": both then
-        if joint == "nor" or (joint == "or" and head.negate and not own.finite and not own.negate):
-            groups[-1].append(negated(node))  # "not moving or rolling": neither
+        neither = joint == "nor" or (joint == "or" and head.negate and not own.finite and not own.negate)
+        if isinstance(node, Moved) and not own.finite and groups[-1][-1] == (Not(Moved()) if neither else Moved()):
+            groups[-1][-1] = _denied(node) if neither else node  # "walked or sat down after 3 s": both then
+        if neither:
+            groups[-1].append(_denied(node))  # "not moving or rolling": neither
         elif joint == "or":
             groups.append([node])
         else:
@@ -103,6 +104,13 @@ def predicate(c: Cursor, asked: Asked, carried: Lead) -> tuple[Node, Lead] | Non
         return AllOf(), replace(head, negate=False)
     node = negated(node) if head.negate else node
     return (within(node, spans) if spans else node), head
+
+
+def _denied(node: Node) -> Node:
+    """Not the node; of a motion in a time, seen in it."""
+    if isinstance(node, Moved) and node != Moved():
+        return both(Not(node), Seen(node.t0_s, node.t1_s))
+    return negated(node)
 
 
 def _counts_motions(node: Node) -> bool:
