@@ -92,7 +92,7 @@ def lexicon() -> Lexicon:
         table["plurals"],
         frozenset(table["invariant"]["words"]),
         frozenset(table["participles"]["words"]),
-        frozenset(past[0] for past in table["verbs"]["irregular"].values() if past[0] not in past[1:] != []),
+        frozenset(past for past, *others in table["verbs"]["irregular"].values() if others and past not in others),
         frozenset(table["est"]["words"]),
     )
 
