@@ -22,12 +22,13 @@ import render_room
 import vlmm_log
 from planted import cell, later, rewritten, without
 from vlmm_log import viewing
+from vlmm_log.comparison.difference import ElementChange
 from vlmm_log.comparison.maps import NEAR_M, OTHER_LABEL, matched
 from vlmm_log.comparison.measures import figures
 from vlmm_log.comparison.report import report
 from vlmm_log.comparison.stages import STAGES
 from vlmm_log.comparison.tolerance import Choice, Tolerance
-from vlmm_log.comparison.words import figure_words, summary
+from vlmm_log.comparison.words import figure_words, flip_words, summary
 from vlmm_log.entries import Pose, Scalar, Table
 from vlmm_log.recording import open_recording
 from vlmm_log.types import InputError
@@ -56,6 +57,11 @@ def recording(room, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "room.rrd"
     run(room, rrd=out, mcap=out.with_suffix(".mcap"), map=out.with_suffix(".json"))
     return out
+
+
+@pytest.mark.parametrize(("label", "told"), [("box", "3 box: moving -> static"), ("", "3: moving -> static")])
+def test_an_element_without_a_label_is_told_by_its_id(label, told):
+    assert flip_words(ElementChange(3, 3, label, ("flipped",), "", ("moving", "static"))) == told
 
 
 def test_what_others_logged_beside_a_run_is_compared(recording, tmp_path):

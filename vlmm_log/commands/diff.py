@@ -94,13 +94,13 @@ def diff(
 
 def print_difference(d: Difference) -> None:
     """What differs: in words, then settings, entities and elements, a line each."""
-    from vlmm_log.comparison.words import entity_words, grouped, id_words, summary
+    from vlmm_log.comparison.words import entity_words, grouped, name_words, summary
 
     tell(f"A {d.a}", f"B {d.b}", *summary(d))
     _section("settings, A -> B", [f"{c.name}: {c.a} -> {c.b}" for c in d.settings])
     _section("entities, in the order of the stages", [entity_words(name, group) for name, group in grouped(d.entities)])
     changes = [c for c in d.elements.changes if c.kinds != ("changed",)]
-    _section("elements", [f"{id_words(c)} {c.label}: {', '.join(c.kinds)}: {c.told}" for c in changes])
+    _section("elements", [f"{name_words(c)}: {', '.join(c.kinds)}: {c.told}" for c in changes])
     _section("about the runs, A -> B", [f"{change.name}: {change.a} -> {change.b}" for change in d.about])
 
 

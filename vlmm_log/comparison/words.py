@@ -73,7 +73,12 @@ def _element_lines(d: Difference) -> Iterator[str]:
 
 def flip_words(change: ElementChange) -> str:
     """An element whose class flipped: its id, label, and both classes."""
-    return f"{id_words(change)} {change.label}: {' -> '.join(change.classes)}"
+    return f"{name_words(change)}: {' -> '.join(change.classes)}"
+
+
+def name_words(change: ElementChange) -> str:
+    """An element's id, and its label if it has one."""
+    return f"{id_words(change)} {change.label}".rstrip()
 
 
 def readable(path: Path) -> str:
